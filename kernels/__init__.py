@@ -1,0 +1,11 @@
+"""Warp kernels of warpcrete: device code only, built by factories that take the scalar type.
+
+A factory such as ``contacts.contact_kernel(scalar, ...)`` returns a kernel specialised for one
+precision and one set of features. Factories are cached, so asking twice compiles nothing.
+"""
+
+if __name__ != "warpcrete.kernels":
+    raise ImportError(
+        f"the kernel package was imported as {__name__!r}; import it as 'warpcrete.kernels' "
+        "(install the project with 'pip install -e .' and do not put its root folder on sys.path)"
+    )

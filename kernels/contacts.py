@@ -1,0 +1,161 @@
+"""Sphere-sphere contact forces over a stored neighbour list.
+
+One list serves both devices. In the *half* list (CPU: one thread owns every sphere) a pair stands
+once and its force is added to both spheres; in the *full* list (GPU) it stands at both spheres, each
+thread writes only its own sphere, and no atomic is needed. A pair is always evaluated in the order of
+its spheres' permanent numbers, so both copies of a full list compute and store the same bits.
+"""
+
+import functools
+
+import warp as wp
+
+from .law_linear import UNBONDED, law
+from .types import BROKEN_SHEAR, BROKEN_TENSION, DT_PREVIOUS, FAILED, STALE, types, vector_functions
+
+
+@wp.func
+def decode(entry: wp.int32):
+    """Neighbour index of a list entry; entries are j, or -1 - j where j has the lower permanent number."""
+    if entry < 0:
+        return -1 - entry
+    return entry
+
+
+@functools.cache
+def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: bool):
+    """Kernel over spheres: adds contact forces [N] and moments about sphere centres [N m]."""
+    t = types(scalar)
+    functions = law(scalar)
+    ContactParameters = functions.ContactParameters
+    BondParameters = functions.BondParameters
+    linear_force = functions.linear_force
+    bond_force = functions.bond_force
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def contacts(
+        contact_parameters: wp.array(dtype=ContactParameters),
+        bond_parameters: wp.array(dtype=BondParameters),
+        materials: wp.int32,
+        sphere_position: wp.array(dtype=t.vec4),
+        sphere_velocity: wp.array(dtype=t.vec4),
+        sphere_spin: wp.array(dtype=t.vec3),
+        sphere_material: wp.array(dtype=wp.int32),
+        pair_start: wp.array(dtype=wp.int32),
+        pair_other: wp.array(dtype=wp.int32),
+        clock: wp.array(dtype=wp.float64),
+        flags: wp.array(dtype=wp.int32),
+        pair_shear: wp.array(dtype=t.vec3),
+        pair_bond: wp.array(dtype=wp.int32),
+        pair_bond_force: wp.array(dtype=t.vec4),
+        pair_bond_moment: wp.array(dtype=t.vec4),
+        force: wp.array(dtype=t.vec3),
+        moment: wp.array(dtype=t.vec3),
+    ):
+        i = wp.tid()
+        if flags[STALE] != 0 or flags[FAILED] != 0:
+            return
+        dt = scalar(clock[DT_PREVIOUS])  # the displacement that led here is that of the step before
+        position_i = sphere_position[i]
+        velocity_i = sphere_velocity[i]
+        spin_i = sphere_spin[i]
+        row = sphere_material[i] * materials
+        force_i = t.vec3()
+        moment_i = t.vec3()
+        for k in range(pair_start[i], pair_start[i + 1]):
+            entry = pair_other[k]
+            j = decode(entry)
+            position_j = sphere_position[j]
+            offset = xyz(position_j) - xyz(position_i)
+            reach = position_i[3] + position_j[3]
+            distance_squared = wp.dot(offset, offset)
+            touching = distance_squared < reach * reach
+            bond = wp.int32(0)
+            if wp.static(bonds):
+                bond = pair_bond[k]
+            if touching or bond > 0:
+                sign = scalar(1.0)
+                if entry < 0:
+                    sign = scalar(-1.0)
+                velocity_j = sphere_velocity[j]
+                spin_j = sphere_spin[j]
+                distance = wp.sqrt(distance_squared)
+                gap = distance - reach
+                # Coincident centres have no direction: any fixed one will part them.
+                n = safe_normalize(sign * offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+                # The contact point halves the overlap.
+                arm_i = position_i[3] + scalar(0.5) * gap
+                arm_j = position_j[3] + scalar(0.5) * gap
+                spin_a = spin_i
+                spin_b = spin_j
+                arm_a = arm_i
+                arm_b = arm_j
+                mass_a = velocity_i[3]
+                mass_b = velocity_j[3]
+                if entry < 0:
+                    spin_a = spin_j
+                    spin_b = spin_i
+                    arm_a = arm_j
+                    arm_b = arm_i
+                    mass_a = velocity_j[3]
+                    mass_b = velocity_i[3]
+                velocity = sign * (xyz(velocity_j) - xyz(velocity_i))
+                velocity = velocity - wp.cross(arm_a * spin_a + arm_b * spin_b, n)
+                twist = scalar(0.5) * dt * wp.dot(spin_a + spin_b, n)
+                radius = wp.min(position_i[3], position_j[3])
+                mass = mass_a * mass_b / (mass_a + mass_b)
+
+                shear = t.vec3()
+                if wp.static(friction):
+                    shear = pair_shear[k]
+                total, new_shear = linear_force(
+                    contact_parameters[row + sphere_material[j]],
+                    n, gap, velocity, twist, radius, reach, mass, shear, dt,
+                )  # fmt: skip
+                if wp.static(friction):
+                    pair_shear[k] = new_shear
+                bond_moment = t.vec3()
+                if wp.static(bonds):
+                    if wp.static(healing):
+                        if bond == UNBONDED:
+                            bond = 1
+                            pair_bond[k] = 1
+                    if bond > 0:
+                        held_force, held_moment, outcome = bond_force(
+                            bond_parameters[bond],
+                            n, velocity, spin_b - spin_a, twist, radius, reach,
+                            pair_bond_force[k], pair_bond_moment[k], dt,
+                        )  # fmt: skip
+                        pair_bond_force[k] = held_force
+                        pair_bond_moment[k] = held_moment
+                        if outcome < 0:
+                            pair_bond[k] = outcome
+                            if wp.static(half) or entry >= 0:
+                                if outcome == -1:
+                                    wp.atomic_add(flags, BROKEN_TENSION, 1)
+                                else:
+                                    wp.atomic_add(flags, BROKEN_SHEAR, 1)
+                            # A bond that breaks may leave a pair that no longer touches: the linear
+                            # part's dashpot must not outlive it.
+                            if not touching:
+                                total = t.vec3()
+                        total = total + xyz(held_force) + held_force[3] * n
+                        bond_moment = xyz(held_moment) + held_moment[3] * n
+                turn = wp.cross(n, total)
+                force_i = force_i + sign * total
+                moment_i = moment_i + arm_i * turn + sign * bond_moment
+                if wp.static(half):
+                    force[j] = force[j] - sign * total
+                    moment[j] = moment[j] + arm_j * turn - sign * bond_moment
+            else:
+                if wp.static(friction):
+                    pair_shear[k] = t.vec3()
+                if wp.static(healing):
+                    if bond < 0:
+                        pair_bond[k] = 0  # parted: may bond again at the next touch
+        force[i] = force[i] + force_i
+        moment[i] = moment[i] + moment_i
+
+    return contacts

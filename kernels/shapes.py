@@ -1,0 +1,32 @@
+"""Distance of points to a closed mesh."""
+
+import warp as wp
+
+
+@wp.kernel(enable_backward=False)
+def signed_distances(
+    mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
+):
+    """Signed distance (negative inside, by winding number), or `reach` where nothing is that near."""
+    i = wp.tid()
+    query = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach)
+    distance[i] = reach
+    if query.result:
+        nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distance[i] = query.sign * wp.length(points[i] - nearest)
+
+
+@wp.kernel(enable_backward=False)
+def ray_distances(
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    reach: wp.float32,
+    distance: wp.array(dtype=wp.float32),
+):
+    """Distance along each unit direction to the surface, or -1 where the ray meets none within `reach`."""
+    i = wp.tid()
+    query = wp.mesh_query_ray(mesh, origins[i], directions[i], reach)
+    distance[i] = -1.0
+    if query.result:
+        distance[i] = query.t

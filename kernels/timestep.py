@@ -1,0 +1,172 @@
+"""Stable step from masses and live stiffness, bonds included (conventions of PFC 5.0).
+
+For each body: the stiffness matrix of its touching or bonded contacts, translation by its largest absolute
+row sum, rotation by a bound with lever arms and bond moments; the dashpot with critical ratio beta stiffens
+k to k / (sqrt(1 + beta^2) - beta)^2. The step is min sqrt(m / k).
+"""
+
+import functools
+
+import warp as wp
+
+from .contacts import decode
+from .geometry import axis_functions
+from .law_linear import law
+from .types import types, vector_functions
+from .walls import PLANE, wall_struct
+
+
+@functools.cache
+def timestep_kernels(scalar, half: bool, bonds: bool):
+    """Kernels ``gather`` over spheres (stiffness sums) and ``reduce`` over bodies (smallest step)."""
+    t = types(scalar)
+    functions = law(scalar)
+    ContactParameters = functions.ContactParameters
+    BondParameters = functions.BondParameters
+    normal_stiffness = functions.normal_stiffness
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+    Wall = wall_struct(scalar)
+    axis = axis_functions(scalar)
+    Segment = axis.Segment
+    closest_on_axis = axis.closest_on_axis
+
+    @wp.func
+    def damped(p: ContactParameters, k: scalar):
+        one = scalar(1.0)
+        beta = wp.max(p.damping_normal, p.damping_shear)
+        root = wp.sqrt(one + beta * beta) - beta
+        return k / (root * root)
+
+    @wp.func
+    def outer(n: t.vec3, kn: scalar, ks: scalar):
+        return (kn - ks) * wp.outer(n, n) + ks * wp.identity(n=3, dtype=scalar)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def gather(
+        contact_parameters: wp.array(dtype=ContactParameters),
+        bond_parameters: wp.array(dtype=BondParameters),
+        materials: wp.int32,
+        walls: wp.array(dtype=Wall),
+        analytic: wp.int32,
+        segments: wp.array(dtype=Segment),
+        wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat),
+        body_position: wp.array(dtype=t.vec3),
+        sphere_body: wp.array(dtype=wp.int32),
+        sphere_position: wp.array(dtype=t.vec4),
+        sphere_material: wp.array(dtype=wp.int32),
+        candidate_start: wp.array(dtype=wp.int32),
+        candidate_face: wp.array(dtype=wp.int32),
+        face_wall: wp.array(dtype=wp.int32),
+        pair_start: wp.array(dtype=wp.int32),
+        pair_other: wp.array(dtype=wp.int32),
+        pair_bond: wp.array(dtype=wp.int32),
+        translation: wp.array(dtype=t.mat33),
+        rotation: wp.array(dtype=scalar),
+    ):
+        i = wp.tid()
+        xi = xyz(sphere_position[i])
+        radius_i = sphere_position[i][3]
+        row = sphere_material[i] * materials
+        arm_i = wp.length(xi - body_position[sphere_body[i]]) + radius_i
+        sum_i = t.mat33()
+        turn_i = scalar(0.0)
+        for k in range(pair_start[i], pair_start[i + 1]):
+            j = decode(pair_other[k])
+            offset = xyz(sphere_position[j]) - xi
+            radius_j = sphere_position[j][3]
+            length = radius_i + radius_j
+            touching = wp.length_sq(offset) < length * length
+            bond = wp.int32(0)
+            if wp.static(bonds):
+                bond = pair_bond[k]
+            if touching or bond > 0:
+                smaller = wp.min(radius_i, radius_j)
+                p = contact_parameters[row + sphere_material[j]]
+                kn = damped(p, normal_stiffness(p, smaller, length))
+                ks = kn * p.shear_to_normal
+                bending = scalar(0.0)
+                if wp.static(bonds):
+                    if bond > 0:
+                        b = bond_parameters[bond]
+                        r = b.radius_multiplier * smaller
+                        area = scalar(3.141592653589793) * r * r
+                        kb = b.effective_modulus / length * area
+                        kn += kb
+                        ks += kb * b.shear_to_normal
+                        bending = kb * r * r * scalar(0.25) * (scalar(1.0) + scalar(2.0) * b.shear_to_normal)
+                n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+                block = outer(n, kn, ks)
+                sum_i += block
+                lever_i = arm_i - radius_i
+                turn_i += (kn * lever_i * lever_i + ks * arm_i * arm_i) + bending
+                if wp.static(half):
+                    arm_j = wp.length(xyz(sphere_position[j]) - body_position[sphere_body[j]]) + radius_j
+                    lever_j = arm_j - radius_j
+                    translation[j] = translation[j] + block
+                    rotation[j] = rotation[j] + (kn * lever_j * lever_j + ks * arm_j * arm_j) + bending
+        for w in range(analytic):
+            n = t.vec3()
+            distance = scalar(0.0)
+            if walls[w].kind == PLANE:
+                n = wp.quat_rotate(wall_orientation[w], walls[w].normal)
+                distance = wp.dot(xi - wall_position[w], n)
+            else:
+                offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, xi - wall_position[w])
+                n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+                distance = walls[w].radius - wp.length(offset)
+            if distance < radius_i:
+                p = contact_parameters[row + walls[w].material]
+                kn = damped(p, normal_stiffness(p, radius_i, radius_i))
+                ks = kn * p.shear_to_normal
+                lever_i = arm_i - radius_i
+                sum_i += outer(n, kn, ks)
+                turn_i += kn * lever_i * lever_i + ks * arm_i * arm_i
+        if candidate_start[i + 1] > candidate_start[i]:
+            # Near a mesh: count one contact in any direction, and no more, without finding it.
+            w = face_wall[candidate_face[candidate_start[i]]]
+            p = contact_parameters[row + walls[w].material]
+            kn = damped(p, normal_stiffness(p, radius_i, radius_i))
+            sum_i += kn * wp.identity(n=3, dtype=scalar)
+            turn_i += kn * arm_i * arm_i
+        translation[i] = translation[i] + sum_i
+        rotation[i] = rotation[i] + turn_i
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def reduce(
+        contact_parameters: wp.array(dtype=ContactParameters),
+        materials: wp.int32,
+        body_mass: wp.array(dtype=scalar),
+        body_inertia: wp.array(dtype=t.vec3),
+        body_first: wp.array(dtype=wp.int32),
+        sphere_position: wp.array(dtype=t.vec4),
+        sphere_material: wp.array(dtype=wp.int32),
+        translation: wp.array(dtype=t.mat33),
+        rotation: wp.array(dtype=scalar),
+        smallest: wp.array(dtype=wp.float64),
+    ):
+        b = wp.tid()
+        total = t.mat33()
+        turn = scalar(0.0)
+        floor = scalar(0.0)
+        for s in range(body_first[b], body_first[b + 1]):
+            total += translation[s]
+            turn += rotation[s]
+            translation[s] = t.mat33()
+            rotation[s] = scalar(0.0)
+            # A body in flight must survive its next touch: never less than one contact.
+            radius = sphere_position[s][3]
+            for m in range(materials):
+                p = contact_parameters[sphere_material[s] * materials + m]
+                floor = wp.max(floor, damped(p, normal_stiffness(p, radius, radius)))
+        k = floor
+        for r in range(3):
+            k = wp.max(k, wp.abs(total[r, 0]) + wp.abs(total[r, 1]) + wp.abs(total[r, 2]))
+        inertia = wp.min(body_inertia[b])
+        step = wp.sqrt(body_mass[b] / k)
+        if turn > scalar(0.0):
+            step = wp.min(step, wp.sqrt(inertia / turn))
+        wp.atomic_min(smallest, 0, wp.float64(step))
+
+    return gather, reduce

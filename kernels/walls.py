@@ -1,0 +1,460 @@
+"""Walls: motion, and contact of spheres with planes, pipe surfaces and triangle meshes.
+
+Mesh contact keeps a candidate only where its closest point is a local minimum of the distance to the
+*whole* surface: on an edge, neither adjacent face may fall towards the sphere's centre; at a corner,
+no edge that meets there may. That leaves one contact on any triangulated plane and on convex edges and
+corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
+minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
+"""
+
+import functools
+import math
+
+import warp as wp
+
+from .geometry import axis_functions, triangle_functions
+from .law_linear import law
+from .types import DT, DT_PREVIOUS, FAILED, FORCE_SCALE, LATE, OVERFLOW, STALE, TIME, types, vector_functions
+
+PLANE = wp.constant(0)
+PIPE = wp.constant(1)
+MESH = wp.constant(2)
+
+FIXED = wp.constant(0)
+PRESCRIBED = wp.constant(1)
+DRIVEN = wp.constant(2)
+
+MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
+MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time; more sets OVERFLOW
+
+
+@functools.cache
+def wall_struct(scalar):
+    """What a wall is; motion lives in separate arrays."""
+    t = types(scalar)
+
+    @wp.struct
+    class Wall:
+        kind: wp.int32
+        material: wp.int32
+        normal: t.vec3  # planes: unit normal into the material, in the wall's frame
+        radius: scalar  # pipes: inner radius
+        first: wp.int32  # pipes: range of axis segments
+        last: wp.int32
+        mesh: wp.uint64  # meshes: id of the wp.Mesh, in the wall's frame
+        first_face: wp.int32  # meshes: offset of its faces in the flat face arrays
+        motion: wp.int32
+        start_time: wp.float64  # prescribed motion: the speed ramps linearly from start_time on ...
+        ramp_time: wp.float64  # ... for this long, then holds
+        velocity: wp.vec3d  # of the final, steady motion [m/s]
+        spin: wp.vec3d  # [rad/s], about `pivot`
+        pivot: wp.vec3d
+        mass: wp.float64  # driven walls: inertia along `velocity`'s unit direction [kg]
+        drive_force: wp.float64  # force that pushes a driven wall along that direction [N]
+        drive_damping: wp.float64  # [N s/m]
+        extent: wp.float64  # meshes: largest distance of a corner from the wall's origin [m]
+
+    return Wall
+
+
+@functools.cache
+def advance_kernel(scalar):
+    """One thread a wall: collect the step's forces, move to the next time; thread 0 moves the clock."""
+    t = types(scalar)
+    Wall = wall_struct(scalar)
+
+    @wp.func
+    def ramped(time: wp.float64, ramp: wp.float64):
+        # Integral of min(time / ramp, 1), the distance gone at unit final speed.
+        if time <= wp.float64(0.0):
+            return wp.float64(0.0)
+        if time < ramp:
+            return wp.float64(0.5) * time * time / ramp
+        return time - wp.float64(0.5) * ramp
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def advance(
+        walls: wp.array(dtype=Wall),
+        wall_count: wp.int32,
+        rest_position: wp.array(dtype=wp.vec3d),
+        clock: wp.array(dtype=wp.float64),
+        flags: wp.array(dtype=wp.int32),
+        step_force: wp.array2d(dtype=wp.int64),
+        position_exact: wp.array(dtype=wp.vec3d),
+        velocity_exact: wp.array(dtype=wp.vec3d),
+        position: wp.array(dtype=t.vec3),
+        orientation: wp.array(dtype=t.quat),
+        velocity: wp.array(dtype=t.vec3),
+        spin: wp.array(dtype=t.vec3),
+        force: wp.array(dtype=wp.vec3d),
+        moment: wp.array(dtype=wp.vec3d),
+        impulse: wp.array(dtype=wp.vec3d),
+        angular_impulse: wp.array(dtype=wp.vec3d),
+        travel: wp.array(dtype=wp.float64),
+        work: wp.array(dtype=wp.float64),
+        moved: wp.array(dtype=wp.float64),
+        mesh_skin: wp.float64,
+    ):
+        w = wp.tid()
+        if flags[STALE] != 0 or flags[FAILED] != 0:
+            return
+        dt = clock[DT]
+        # Forces act from the middle of the step before to the middle of this one.
+        kick = wp.float64(0.5) * (dt + clock[DT_PREVIOUS])
+        if w < wall_count:
+            wall = walls[w]
+            unit = wp.float64(1.0) / clock[FORCE_SCALE]
+            f = wp.vec3d(
+                unit * wp.float64(step_force[w, 0]),
+                unit * wp.float64(step_force[w, 1]),
+                unit * wp.float64(step_force[w, 2]),
+            )
+            m = wp.vec3d(
+                unit * wp.float64(step_force[w, 3]),
+                unit * wp.float64(step_force[w, 4]),
+                unit * wp.float64(step_force[w, 5]),
+            )
+            for c in range(6):
+                step_force[w, c] = wp.int64(0)
+            force[w] = f
+            moment[w] = m
+            impulse[w] = impulse[w] + kick * f
+            angular_impulse[w] = angular_impulse[w] + kick * m
+            before = position_exact[w]
+            # Work done on the material, with the velocity of the middle of the step that ends here.
+            work[w] = work[w] - wp.float64(0.5) * clock[DT_PREVIOUS] * (
+                wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
+            )
+            now = clock[TIME] + dt - wall.start_time
+            if wall.motion == PRESCRIBED:
+                gone = ramped(now, wall.ramp_time)
+                angle = gone * wp.length(wall.spin)
+                after = rest_position[w] + gone * wall.velocity
+                if angle > wp.float64(0.0):
+                    q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
+                    after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
+                    orientation[w] = t.quat(q)
+                rate = wp.float64(0.0)
+                if dt > wp.float64(0.0):
+                    rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
+                # Average over the step, as the particles' leapfrog velocities are.
+                spin[w] = t.vec3(rate * wall.spin)
+                position_exact[w] = after
+                velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
+                arm = wp.length(rest_position[w] - wall.pivot)
+                if wp.length(wall.velocity) > wp.float64(0.0):
+                    travel[w] = gone * wp.length(wall.velocity)
+                else:
+                    travel[w] = gone * wp.length(wall.spin) * arm
+            elif wall.motion == DRIVEN and now >= wall.start_time:
+                direction = wp.normalize(wall.velocity)
+                speed = wp.dot(velocity_exact[w], direction)
+                push = wall.drive_force + wp.dot(f, direction)
+                # The damper acts on the mean of old and new speed, which is stable for any damping.
+                half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
+                speed = ((wp.float64(1.0) - half) * speed + kick * push / wall.mass) / (wp.float64(1.0) + half)
+                velocity_exact[w] = speed * direction
+                position_exact[w] = before + dt * speed * direction
+                travel[w] = travel[w] + dt * speed
+            position[w] = t.vec3(position_exact[w])
+            velocity[w] = t.vec3(velocity_exact[w])
+            work[w] = work[w] - wp.float64(0.5) * dt * (
+                wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
+            )
+            if wall.kind == MESH and wall.motion != FIXED:
+                moved[w] = moved[w] + dt * (
+                    wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent
+                )
+                if moved[w] > wp.float64(0.5) * mesh_skin:
+                    flags[LATE] = 1
+
+    return advance
+
+
+@functools.cache
+def wall_kernel(scalar, meshes: bool):
+    """Kernel over spheres: adds wall forces to spheres and, in fixed point, to the walls.
+
+    Fixed-point sums (int64, `clock[FORCE_SCALE]` units per newton) give the same bits in any order.
+    Contact slots of a sphere: one for each plane or pipe, then, with meshes, MESH_SLOTS for all of them.
+    """
+    t = types(scalar)
+    Wall = wall_struct(scalar)
+    axis = axis_functions(scalar)
+    Segment = axis.Segment
+    closest_on_axis = axis.closest_on_axis
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+    functions = law(scalar)
+    ContactParameters = functions.ContactParameters
+    linear_force = functions.linear_force
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+    slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
+    slots_vector = wp.types.vector(MESH_SLOTS, scalar)
+    slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
+    merge_cosine = math.cos(math.radians(MERGE_ANGLE))
+
+    @wp.func
+    def add_to_wall(step_force: wp.array2d(dtype=wp.int64), w: wp.int32, f: t.vec3, m: t.vec3, scale: wp.float64):
+        for c in range(3):
+            wp.atomic_add(step_force, w, c, wp.int64(wp.round(wp.float64(f[c]) * scale)))
+            wp.atomic_add(step_force, w, c + 3, wp.int64(wp.round(wp.float64(m[c]) * scale)))
+
+    @wp.func
+    def falls_towards(direction: t.vec3, offset: t.vec3):
+        # Would a step along `direction` on the surface come nearer to the sphere's centre? The tolerance
+        # covers single-precision noise; a minimum reported twice within it merges by angle anyway.
+        return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
+
+    @wp.func
+    def is_local_minimum(
+        feature: wp.int32,
+        face: wp.int32,
+        first_face: wp.int32,
+        offset: t.vec3,
+        corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32),
+        face_across: wp.array2d(dtype=wp.int32),
+        ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32),
+    ):
+        """`offset` points from the closest point to the centre. Ties between faces go to the lowest face."""
+        if feature == 0:
+            return True
+        if feature < 4:
+            edge = feature - 1
+            across = face_across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
+            if across < 0:
+                return True  # a border edge
+            if face_across[face, edge + 3] < face:
+                return False  # the neighbour reports this edge
+            a = corners[faces[face, edge]]
+            along = corners[faces[face, (edge + 1) % 3]] - a
+            inward = corners[across] - a
+            inward = inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
+            return not falls_towards(inward, offset)
+        corner = faces[face, feature - 4]
+        a = corners[corner]
+        lowest = ring[ring_start[corner]]
+        if lowest != face - first_face:
+            return False  # the lowest face of the ring reports this corner
+        for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
+            if falls_towards(corners[ring[k]] - a, offset):
+                return False
+        return True
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def wall_contacts(
+        contact_parameters: wp.array(dtype=ContactParameters),
+        materials: wp.int32,
+        walls: wp.array(dtype=Wall),
+        analytic: wp.int32,
+        segments: wp.array(dtype=Segment),
+        wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat),
+        wall_velocity: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3),
+        corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32),
+        face_across: wp.array2d(dtype=wp.int32),
+        ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32),
+        face_wall: wp.array(dtype=wp.int32),
+        candidate_start: wp.array(dtype=wp.int32),
+        candidate_face: wp.array(dtype=wp.int32),
+        sphere_position: wp.array(dtype=t.vec4),
+        sphere_velocity: wp.array(dtype=t.vec4),
+        sphere_spin: wp.array(dtype=t.vec3),
+        sphere_material: wp.array(dtype=wp.int32),
+        clock: wp.array(dtype=wp.float64),
+        flags: wp.array(dtype=wp.int32),
+        slot_shear: wp.array2d(dtype=t.vec3),
+        slot_normal: wp.array2d(dtype=t.vec3),
+        slot_wall: wp.array2d(dtype=wp.int32),
+        force: wp.array(dtype=t.vec3),
+        moment: wp.array(dtype=t.vec3),
+        step_force: wp.array2d(dtype=wp.int64),
+    ):
+        i = wp.tid()
+        if flags[STALE] != 0 or flags[FAILED] != 0:
+            return
+        dt = scalar(clock[DT_PREVIOUS])
+        scale = clock[FORCE_SCALE]
+        position = sphere_position[i]
+        x = xyz(position)
+        radius = position[3]
+        velocity = sphere_velocity[i]
+        row = sphere_material[i] * materials
+        total_force = t.vec3()
+        total_moment = t.vec3()
+        for w in range(analytic):
+            kind = walls[w].kind
+            distance = scalar(0.0)
+            n = t.vec3()  # from the sphere into the wall
+            if kind == PLANE:
+                inward = wp.quat_rotate(wall_orientation[w], walls[w].normal)
+                distance = wp.dot(x - wall_position[w], inward)
+                n = -inward
+            else:
+                offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, x - wall_position[w])
+                n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+                distance = walls[w].radius - wp.length(offset)
+            gap = distance - radius
+            if gap < scalar(0.0):
+                arm = radius + gap
+                point = x + arm * n
+                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
+                relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
+                twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
+                f, shear = linear_force(
+                    contact_parameters[row + walls[w].material],
+                    n, gap, relative, twist, radius, radius, velocity[3], slot_shear[i, w], dt,
+                )  # fmt: skip
+                slot_shear[i, w] = shear
+                total_force += f
+                total_moment += wp.cross(arm * n, f)
+                add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
+            elif wp.length_sq(slot_shear[i, w]) > scalar(0.0):
+                slot_shear[i, w] = t.vec3()
+        if wp.static(meshes):
+            first = candidate_start[i]
+            last = candidate_start[i + 1]
+            found = wp.int32(0)
+            normals = slots_matrix()
+            gaps = slots_vector()
+            owners = slots_index()
+            for k in range(first, last):
+                face = candidate_face[k]
+                w = face_wall[face]
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                point, feature = closest_on_triangle(
+                    local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+                )
+                offset = local - point
+                distance = wp.length(offset)
+                if distance < radius:
+                    first_face = walls[w].first_face
+                    if is_local_minimum(
+                        feature, face, first_face, offset, corners, faces, face_across, ring_start, ring
+                    ):
+                        a = corners[faces[face, 0]]
+                        plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
+                        n = -safe_normalize(offset, -wp.normalize(plain))
+                        n = wp.quat_rotate(wall_orientation[w], n)
+                        gap = distance - radius
+                        # A centre pushed through the surface: the side it touched before is the inside.
+                        side = scalar(0.0)
+                        for s in range(MESH_SLOTS):
+                            if slot_wall[i, analytic + s] == w:
+                                c = wp.dot(slot_normal[i, analytic + s], n)
+                                if wp.abs(c) > wp.abs(side):
+                                    side = c
+                        if side < scalar(-0.7):
+                            n = -n
+                            gap = -distance - radius
+                        place = wp.int32(-1)
+                        for s in range(found):
+                            if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(merge_cosine)):
+                                place = s
+                        if place < 0:
+                            if found < MESH_SLOTS:
+                                normals[found] = n
+                                gaps[found] = gap
+                                owners[found] = w
+                                found += 1
+                            else:
+                                flags[OVERFLOW] = 1
+                        elif gap < gaps[place]:
+                            normals[place] = n
+                            gaps[place] = gap
+            shears = slots_matrix()
+            for s in range(found):
+                n = normals[s]
+                w = owners[s]
+                # History belongs to the old contact on this wall with the nearest normal.
+                shear = t.vec3()
+                best = scalar(wp.static(merge_cosine))
+                for o in range(MESH_SLOTS):
+                    if slot_wall[i, analytic + o] == w:
+                        c = wp.dot(slot_normal[i, analytic + o], n)
+                        if c > best:
+                            best = c
+                            shear = slot_shear[i, analytic + o]
+                arm = radius + gaps[s]
+                point = x + arm * n
+                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
+                relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
+                twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
+                f, new_shear = linear_force(
+                    contact_parameters[row + walls[w].material],
+                    n, gaps[s], relative, twist, radius, radius, velocity[3], shear, dt,
+                )  # fmt: skip
+                shears[s] = new_shear
+                total_force += f
+                total_moment += wp.cross(arm * n, f)
+                add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
+            if last > first:
+                for s in range(MESH_SLOTS):
+                    if s < found:
+                        slot_wall[i, analytic + s] = owners[s]
+                        slot_normal[i, analytic + s] = normals[s]
+                        slot_shear[i, analytic + s] = shears[s]
+                    else:
+                        slot_wall[i, analytic + s] = -1
+        force[i] = force[i] + total_force
+        moment[i] = moment[i] + total_moment
+
+    return wall_contacts
+
+
+@functools.cache
+def candidate_kernels(scalar):
+    """Count and fill kernels of the faces within reach of each sphere (reach: radius plus mesh skin)."""
+    t = types(scalar)
+    Wall = wall_struct(scalar)
+    xyz = vector_functions(scalar).xyz
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+
+    def kernel(fill: bool):
+        @wp.kernel(module="unique", enable_backward=False)
+        def candidates(
+            walls: wp.array(dtype=Wall),
+            first_mesh: wp.int32,
+            wall_count: wp.int32,
+            wall_position: wp.array(dtype=t.vec3),
+            wall_orientation: wp.array(dtype=t.quat),
+            corners: wp.array(dtype=t.vec3),
+            faces: wp.array2d(dtype=wp.int32),
+            sphere_position: wp.array(dtype=t.vec4),
+            skin: scalar,
+            candidate_start: wp.array(dtype=wp.int32),
+            count: wp.array(dtype=wp.int32),
+            candidate_face: wp.array(dtype=wp.int32),
+        ):
+            i = wp.tid()
+            x = xyz(sphere_position[i])
+            reach = sphere_position[i][3] + skin
+            found = wp.int32(0)
+            for w in range(first_mesh, wall_count):
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
+                # The tree is in single precision; the margin covers its rounding.
+                margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
+                box = wp.vec3(margin, margin, margin)
+                query = wp.mesh_query_aabb(walls[w].mesh, centre - box, centre + box)
+                local_face = wp.int32(0)
+                while wp.mesh_query_aabb_next(query, local_face):
+                    face = walls[w].first_face + local_face
+                    point, feature = closest_on_triangle(
+                        local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+                    )
+                    if wp.length(local - point) <= reach:
+                        if wp.static(fill):
+                            candidate_face[candidate_start[i] + found] = face
+                        found += 1
+            if not wp.static(fill):
+                count[i] = found
+
+        return candidates
+
+    return kernel(False), kernel(True)

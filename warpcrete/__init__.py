@@ -1,0 +1,1 @@
+"""warpcrete: particle simulation of fresh concrete being pumped, on GPU or CPU."""

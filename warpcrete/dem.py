@@ -1,0 +1,195 @@
+"""Stages of the discrete element method. One step is: contacts, walls, wall motion, bodies, clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from .errors import InstabilityError
+from .kernels.bodies import body_kernel, tick_kernel
+from .kernels.bonds import bond_kernels
+from .kernels.contacts import contact_kernel
+from .kernels.timestep import timestep_kernels
+from .kernels.types import types
+from .kernels.walls import advance_kernel, wall_kernel
+from .model import Model
+from .scene import Bonds
+from .state import State
+
+SPEED_LIMIT = 1e4  # [m/s]; nothing that is pumped or dropped comes near
+
+
+class Stage:
+    """One kernel launch of a step, recorded once and replayed until an array of its changes."""
+
+    def __init__(self, kernel, dim: int, arguments: list, device) -> None:
+        self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
+        self._command = None
+
+    def __call__(self) -> None:
+        if self.dim == 0:
+            return
+        if self._command is None:
+            self._command = wp.launch(
+                self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True
+            )
+        self._command.launch()
+
+
+def step_stages(
+    model: Model,
+    state: State,
+    *,
+    skin: float,
+    mesh_skin: float,
+    local_damping: float = 0.0,
+    growth_rate: float = 0.0,
+    growth_end: float = 1.0,
+) -> list[Stage]:
+    """Stages of one step on the arrays that the state holds now."""
+    f, scalar, device = model.features, model.scalar, model.device
+    gravity = types(scalar).vec3(*model.scene.gravity)
+    stages = [
+        Stage(
+            contact_kernel(scalar, f.half_list, f.friction, f.bonds, f.healing),
+            state.sphere_count,
+            [
+                model.contact_parameters, model.bond_parameters, model.material_count, state.sphere_position,
+                state.sphere_velocity, state.sphere_spin, state.sphere_material, state.pair_start, state.pair_other,
+                state.clock, state.flags, state.pair_shear, state.pair_bond, state.pair_bond_force,
+                state.pair_bond_moment, state.force, state.moment,
+            ],
+            device,
+        )
+    ]  # fmt: skip
+    if f.walls:
+        stages.append(
+            Stage(
+                wall_kernel(scalar, f.meshes),
+                state.sphere_count,
+                [
+                    model.contact_parameters, model.material_count, model.wall_table, model.analytic_walls,
+                    model.segments, state.wall_position, state.wall_orientation, state.wall_velocity, state.wall_spin,
+                    model.corners, model.faces, model.face_across, model.ring_start, model.ring, model.face_wall,
+                    state.candidate_start, state.candidate_face, state.sphere_position, state.sphere_velocity,
+                    state.sphere_spin, state.sphere_material, state.clock, state.flags, state.slot_shear,
+                    state.slot_normal, state.slot_wall, state.force, state.moment, state.wall_step_force,
+                ],
+                device,
+            )
+        )  # fmt: skip
+        stages.append(
+            Stage(
+                advance_kernel(scalar),
+                len(model.walls),
+                [
+                    model.wall_table, len(model.walls), model.rest_position, state.clock, state.flags,
+                    state.wall_step_force, state.wall_position_exact, state.wall_velocity_exact, state.wall_position,
+                    state.wall_orientation, state.wall_velocity, state.wall_spin, state.wall_force,
+                    state.wall_moment, state.wall_impulse, state.wall_angular_impulse, state.wall_travel,
+                    state.wall_work, state.wall_moved, mesh_skin,
+                ],
+                device,
+            )
+        )  # fmt: skip
+    stages.append(
+        Stage(
+            body_kernel(scalar, f.clumps, f.drives, f.growth, f.meshes),
+            state.body_count,
+            [
+                gravity, local_damping, SPEED_LIMIT, model.segments, model.drive_axis, model.drive_force,
+                state.body_group, state.body_mass, state.body_inertia, state.body_first, state.sphere_offset,
+                state.sphere_built, state.reference_velocity, skin, mesh_skin, growth_rate, growth_end, state.clock,
+                state.flags, state.scale, state.force, state.moment, state.body_position, state.body_velocity,
+                state.body_spin, state.body_orientation, state.body_angular_momentum, state.sphere_position,
+                state.sphere_velocity, state.sphere_spin,
+            ],
+            device,
+        )
+    )  # fmt: skip
+    tick = tick_kernel(scalar, f.growth)
+    stages.append(Stage(tick, 1, [growth_rate, growth_end, state.clock, state.flags, state.scale], device))
+    return stages
+
+
+class StableStep:
+    """Estimate of the largest stable step from masses and live stiffness, bonds included."""
+
+    def __init__(self, model: Model, state: State) -> None:
+        f = model.features
+        self._gather, self._reduce = timestep_kernels(model.scalar, f.half_list, f.bonds)
+        mat33 = types(model.scalar).mat33
+        self._translation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
+        self._rotation = wp.zeros(state.sphere_count, dtype=model.scalar, device=model.device)
+        self._smallest = wp.zeros(1, dtype=wp.float64, device=model.device)
+
+    def __call__(self, model: Model, state: State) -> float:
+        """Step [s], without safety factor; infinite for a state without bodies."""
+        if state.body_count == 0:
+            return float("inf")
+        self._smallest.fill_(1e30)
+        device = model.device
+        wp.launch(
+            self._gather,
+            dim=state.sphere_count,
+            inputs=[
+                model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
+                model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
+                state.body_position, state.sphere_body, state.sphere_position, state.sphere_material,
+                state.candidate_start, state.candidate_face, model.face_wall, state.pair_start, state.pair_other,
+                state.pair_bond, self._translation, self._rotation,
+            ],
+            device=device,
+        )  # fmt: skip
+        wp.launch(
+            self._reduce,
+            dim=state.body_count,
+            inputs=[
+                model.contact_parameters, model.material_count, state.body_mass, state.body_inertia,
+                state.body_first, state.sphere_position, state.sphere_material, self._translation, self._rotation,
+                self._smallest,
+            ],
+            device=device,
+        )  # fmt: skip
+        step = float(self._smallest.numpy()[0])
+        if not np.isfinite(step) or step <= 0:
+            raise InstabilityError(f"the stable time step came out as {step}; masses or stiffnesses are out of range")
+        return step
+
+
+def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
+    """Bond, without load, every listed pair within `bonds.gap` that is not bonded (inside `group` only, if given).
+
+    Returns the number of pairs that are bonded afterwards. The list must be fresh and reach as far as the gap.
+    """
+    make, _ = bond_kernels(model.scalar)
+    wp.launch(
+        make,
+        dim=state.sphere_count,
+        inputs=[
+            kind, bonds.gap, group, state.sphere_position, state.sphere_body, state.body_group, state.pair_start,
+            state.pair_other, state.pair_bond, state.pair_bond_force, state.pair_bond_moment,
+        ],
+        device=model.device,
+    )  # fmt: skip
+    return int(np.count_nonzero(_bonds(model, state) == kind))
+
+
+def reassign_bonds(model: Model, state: State, old: int, new: int, share: float, seed: int) -> int:
+    """Give a random `share` of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
+    _, reassign = bond_kernels(model.scalar)
+    wp.launch(
+        reassign,
+        dim=state.sphere_count,
+        inputs=[old, new, share, seed & 0xFFFFFFFF, state.sphere_id, state.pair_start, state.pair_other, state.pair_bond],
+        device=model.device,
+    )
+    return int(np.count_nonzero(_bonds(model, state) == new))
+
+
+def _bonds(model: Model, state: State) -> np.ndarray:
+    """Bond state of every listed pair, each pair once."""
+    bonds = state.pair_bond.numpy()[: state.pair_total]
+    if not model.features.half_list:
+        bonds = bonds[state.pair_other.numpy()[: state.pair_total] >= 0]
+    return bonds

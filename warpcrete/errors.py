@@ -1,0 +1,71 @@
+"""Errors of the package; each message is one line that names field, value, what is allowed and what to try."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+
+class WarpcreteError(Exception):
+    """Base of every error that warpcrete raises on purpose."""
+
+
+class SceneError(WarpcreteError, ValueError):
+    """A scene, or a part of one, asks for something that cannot be simulated."""
+
+
+class DeviceError(WarpcreteError):
+    """The device asked for does not exist here."""
+
+
+class RunFolderError(WarpcreteError):
+    """A run folder cannot be created or read."""
+
+
+class InstabilityError(WarpcreteError):
+    """The simulated state left the range in which it means anything."""
+
+
+class CapacityError(WarpcreteError):
+    """A list of fixed size was too short and could not be grown."""
+
+
+def refuse(field: str, value: Any, allowed: str, hint: str = "") -> None:
+    """Raise :class:`SceneError` for `field`."""
+    raise SceneError(f"{field} = {value!r}: {allowed}" + (f"; {hint}" if hint else ""))
+
+
+def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
+    """Refuse anything but a finite number above zero."""
+    if not _is_number(value) or not math.isfinite(value) or value <= 0:
+        refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
+
+
+def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
+    """Refuse anything but a finite number in [lower, upper]."""
+    if not _is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
+        span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"at least {lower:g}"
+        refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
+
+
+def one_of(field: str, value: Any, choices: Any) -> None:
+    """Refuse anything but one of `choices`."""
+    if value not in choices:
+        refuse(field, value, f"must be one of {', '.join(map(str, choices))}")
+
+
+def vector(field: str, value: Any) -> tuple[float, float, float]:
+    """Three finite numbers as a tuple, or :class:`SceneError`."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (3,) or not np.all(np.isfinite(array)):
+        refuse(field, value, "must be three finite numbers")
+    return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)

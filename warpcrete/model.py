@@ -1,0 +1,330 @@
+"""Scene -> Model: what never changes during a run, on a device, and the features the scene needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .errors import DeviceError, one_of, refuse
+from .kernels.geometry import axis_functions
+from .kernels.law_linear import DASHPOT_MODES, law
+from .kernels.types import types
+from .kernels.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
+from .scene import Bonds, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
+
+PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the scene needs; stages are chosen and kernels specialised by it."""
+
+    friction: bool
+    bonds: bool
+    healing: bool
+    clumps: bool
+    drives: bool
+    walls: bool
+    meshes: bool
+    growth: bool
+    half_list: bool
+
+
+@dataclass
+class Model:
+    """Fixed arrays on `device`."""
+
+    scene: Scene
+    device: Any
+    scalar: Any
+    features: Features
+    materials: list[str]
+    groups: list[str]
+    """Name of each group number; 0 is no group."""
+    bond_kinds: list[Bonds]
+    """Properties of bond numbers 1, 2, ...."""
+    contact_parameters: wp.array
+    bond_parameters: wp.array
+    walls: list
+    """The scene's walls in device order: planes and pipes first."""
+    wall_table: wp.array
+    analytic_walls: int
+    rest_position: wp.array
+    segments: wp.array
+    drive_axis: wp.array
+    drive_force: wp.array
+    corners: wp.array
+    faces: wp.array
+    face_across: wp.array
+    ring_start: wp.array
+    ring: wp.array
+    face_wall: wp.array
+    mesh_objects: list = field(default_factory=list)
+    """Keeps the wp.Mesh objects alive."""
+
+    @property
+    def material_count(self) -> int:
+        """Number of materials; contact parameters form a square table of them."""
+        return len(self.materials)
+
+
+def find_device(name: str | None):
+    """Warp device by name (`cpu`, `cuda`, `cuda:0`), or :class:`DeviceError`; None takes a GPU if there is one."""
+    _quiet_init()
+    available = [str(device) for device in wp.get_devices()]
+    if name is None:
+        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
+    if name.startswith("cuda") and not wp.is_cuda_available():
+        raise DeviceError(f"device = {name!r}: no usable CUDA GPU here; use one of {', '.join(available)}")
+    try:
+        return wp.get_device(name)
+    except ValueError as error:
+        raise DeviceError(f"device = {name!r}: must be one of {', '.join(available)}") from error
+
+
+def _quiet_init() -> None:
+    # Warp's own start-up banner and compile notes would drown the program's output.
+    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+
+
+def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -> Model:
+    """Arrange a scene for a device. `growth` prepares for packing, where sizes grow during the run."""
+    one_of("precision", precision, PRECISIONS)
+    scalar = PRECISIONS[precision]
+    analytic = [wall for wall in scene.walls if not isinstance(wall, MeshWall)]
+    meshes = [wall for wall in scene.walls if isinstance(wall, MeshWall)]
+    walls = analytic + meshes
+
+    materials = sorted({b.material for b in scene.bodies} | {w.material for w in walls} | _fill_materials(scene))
+    contacts = {}
+    for (a, b), contact in scene.contacts.items():
+        for name in (a, b):
+            if name not in materials:
+                refuse("contacts", (a, b), f"name a material that no body or wall has ({', '.join(materials)})")
+        contacts[a, b] = contacts[b, a] = contact
+    table = [contacts.get((a, b), scene.contact) for a in materials for b in materials]
+
+    groups = [""] + sorted({b.group for b in scene.bodies if b.group})
+    bond_kinds: list[Bonds] = []
+    if scene.bonds is not None:
+        bond_kinds.append(scene.bonds)
+    if scene.hydration is not None:
+        bond_kinds.append(scene.hydration.bonds)
+    bond_kinds.extend(scene.group_bonds.values())
+
+    shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
+    features = Features(
+        friction=any(c.friction > 0 for c in table),
+        bonds=bool(bond_kinds),
+        healing=scene.bonds is not None and scene.bonds.healing,
+        clumps=any(t is not None and len(t.radii) > 1 for t in shapes),
+        drives=bool(scene.drives),
+        walls=bool(walls),
+        meshes=bool(meshes),
+        growth=growth,
+        half_list=not device.is_cuda,
+    )
+
+    segments: list[dict] = []
+
+    def axis_range(axis) -> tuple[int, int]:
+        first = len(segments)
+        segments.extend(axis.parametrised())
+        return first, len(segments)
+
+    Wall = wall_struct(scalar)
+    rows, rest = [], []
+    topology = _MeshTopology()
+    mesh_objects = []
+    for number, wall in enumerate(walls):
+        row = Wall()
+        row.material = materials.index(wall.material)
+        origin = np.zeros(3)
+        if isinstance(wall, PlaneWall):
+            row.kind = int(PLANE)
+            row.normal = wall.normal
+            origin = np.array(wall.point)
+        elif isinstance(wall, PipeWall):
+            row.kind = int(PIPE)
+            row.radius = wall.radius
+            row.first, row.last = axis_range(wall.axis)
+        else:
+            row.kind = int(MESH)
+            row.first_face = topology.add(wall.vertices, wall.faces, number)
+            surface = wp.Mesh(
+                points=wp.array(wall.vertices.astype(np.float32), dtype=wp.vec3, device=device),
+                indices=wp.array(wall.faces.ravel(), dtype=wp.int32, device=device),
+            )
+            mesh_objects.append(surface)
+            row.mesh = surface.id
+            row.extent = float(np.linalg.norm(wall.vertices, axis=1).max())
+        _set_motion(row, wall.motion)
+        rows.append(row)
+        rest.append(origin)
+
+    drive_axis = np.zeros((len(groups), 2), dtype=np.int32)
+    drive_force = np.zeros(len(groups))
+    for drive in scene.drives:
+        group = groups.index(drive.group)
+        count = sum(len(b.positions) for b in scene.bodies if b.group == drive.group)
+        drive_axis[group] = axis_range(drive.axis)
+        drive_force[group] = drive.force / count
+
+    Segment = axis_functions(scalar).Segment
+    segment_rows = []
+    for s in segments:
+        row = Segment()
+        row.kind = int(s["arc"])
+        row.start, row.tangent, row.outward = s["start"], s["tangent"], s["outward"]
+        row.radius = s["radius"]
+        row.lower, row.upper = max(s["lower"], -1e30), min(s["upper"], 1e30)
+        segment_rows.append(row)
+
+    vec3 = types(scalar).vec3
+    structs = law(scalar)
+
+    def array(values, dtype, columns: int | None = None):
+        data = np.asarray(values)
+        shape = (len(data), columns) if columns else (len(data),)
+        if len(data) == 0:
+            return wp.zeros(shape, dtype=dtype, device=device)
+        return wp.array(data, dtype=dtype, device=device)
+
+    def struct_array(values, dtype):
+        return wp.array(values, dtype=dtype, device=device) if values else wp.zeros(1, dtype=dtype, device=device)
+
+    return Model(
+        scene=scene,
+        device=device,
+        scalar=scalar,
+        features=features,
+        materials=materials,
+        groups=groups,
+        bond_kinds=bond_kinds,
+        contact_parameters=struct_array(
+            [_contact_row(structs.ContactParameters, c) for c in table], structs.ContactParameters
+        ),
+        bond_parameters=struct_array(
+            [structs.BondParameters(), *(_bond_row(structs.BondParameters, b) for b in bond_kinds)],
+            structs.BondParameters,
+        ),
+        walls=walls,
+        wall_table=struct_array(rows, Wall),
+        analytic_walls=len(analytic),
+        rest_position=array(np.reshape(rest, (-1, 3)), wp.vec3d),
+        segments=struct_array(segment_rows, Segment),
+        drive_axis=wp.array(drive_axis, dtype=wp.int32, device=device),
+        drive_force=array(drive_force, scalar),
+        corners=array(topology.corners(), vec3),
+        faces=array(topology.faces(), wp.int32, 3),
+        face_across=array(topology.across(), wp.int32, 6),
+        ring_start=array(topology.ring_start(), wp.int32),
+        ring=array(topology.ring(), wp.int32),
+        face_wall=array(topology.owner(), wp.int32),
+        mesh_objects=mesh_objects,
+    )
+
+
+def _fill_materials(scene: Scene) -> set[str]:
+    return {scene.fill.material} if scene.fill is not None else set()
+
+
+def _set_motion(row, motion: Prescribed | Driven | None) -> None:
+    row.motion = int(FIXED)
+    if isinstance(motion, Prescribed):
+        row.motion = int(PRESCRIBED)
+        row.velocity, row.spin, row.pivot = motion.velocity, motion.spin, motion.pivot
+        row.ramp_time, row.start_time = motion.ramp_time, motion.start_time
+    elif isinstance(motion, Driven):
+        row.motion = int(DRIVEN)
+        row.velocity = motion.direction
+        row.mass, row.drive_force, row.drive_damping = motion.mass, motion.force, motion.damping
+        row.start_time = motion.start_time
+
+
+def _contact_row(struct, contact: Contact):
+    row = struct()
+    row.effective_modulus = contact.effective_modulus
+    row.shear_to_normal = 1.0 / contact.stiffness_ratio
+    row.friction = contact.friction
+    row.damping_normal = contact.normal_damping_ratio
+    row.damping_shear = contact.shear_damping_ratio
+    row.dashpot_mode = DASHPOT_MODES[contact.dashpot]
+    return row
+
+
+def _bond_row(struct, bonds: Bonds):
+    row = struct()
+    row.effective_modulus = bonds.effective_modulus
+    row.shear_to_normal = 1.0 / bonds.stiffness_ratio
+    row.tensile_strength = bonds.tensile_strength
+    row.cohesion = bonds.cohesion
+    row.tan_friction_angle = float(np.tan(np.radians(bonds.friction_angle)))
+    row.radius_multiplier = bonds.radius_multiplier
+    row.moment_factor = bonds.moment_factor
+    return row
+
+
+class _MeshTopology:
+    """Flat corner, face and adjacency arrays over all mesh walls."""
+
+    def __init__(self) -> None:
+        self._corners: list[np.ndarray] = []
+        self._faces: list[np.ndarray] = []
+        self._across: list[np.ndarray] = []
+        self._ring: list[np.ndarray] = []
+        self._owner: list[np.ndarray] = []
+        self._corner_count = 0
+        self._face_count = 0
+
+    def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
+        """Add a mesh; returns the number of its first face."""
+        first_corner, first_face = self._corner_count, self._face_count
+        edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for f, face in enumerate(faces.tolist()):
+            for e in range(3):
+                a, b = face[e], face[(e + 1) % 3]
+                edges.setdefault((min(a, b), max(a, b)), []).append((f, e))
+        across = np.full((len(faces), 6), -1, dtype=np.int32)
+        rings: list[list[int]] = [[] for _ in vertices]
+        lowest = np.full(len(vertices), len(faces))
+        np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
+        for (a, b), members in edges.items():
+            rings[a].append(b)
+            rings[b].append(a)
+            if len(members) == 2:  # an edge of three or more faces keeps them all as borders
+                for (f, e), (g, h) in (members, members[::-1]):
+                    across[f, e] = first_corner + faces[g][(h + 2) % 3]
+                    across[f, e + 3] = first_face + g
+        for v, neighbours in enumerate(rings):
+            self._ring.append(np.array([lowest[v], *(first_corner + n for n in neighbours)], dtype=np.int32))
+        self._corners.append(vertices)
+        self._faces.append(faces + first_corner)
+        self._across.append(across)
+        self._owner.append(np.full(len(faces), wall, dtype=np.int32))
+        self._corner_count += len(vertices)
+        self._face_count += len(faces)
+        return first_face
+
+    def corners(self) -> np.ndarray:
+        return np.concatenate([np.empty((0, 3)), *self._corners])
+
+    def faces(self) -> np.ndarray:
+        return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
+
+    def across(self) -> np.ndarray:
+        return np.concatenate([np.empty((0, 6), np.int32), *self._across]).astype(np.int32)
+
+    def owner(self) -> np.ndarray:
+        return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
+
+    def ring(self) -> np.ndarray:
+        return np.concatenate([np.empty(0, np.int32), *self._ring]).astype(np.int32)
+
+    def ring_start(self) -> np.ndarray:
+        return np.concatenate([[0], np.cumsum([len(r) for r in self._ring])]).astype(np.int32)

@@ -1,0 +1,328 @@
+"""Packing: fill a pipe or any closed mesh with aggregates, by growing them in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .axis import Axis
+from .clumps import ClumpTemplate, reference
+from .errors import InstabilityError, positive, refuse
+from .model import build_model
+from .probes import contact_sums
+from .scene import Contact, MeshWall, PipeWall, PlaneWall, Scene, TimeStep
+from .sizes import Gaussian, Sizes
+from .state import BodyTable, State
+from .stepper import Stepper
+
+START_FRACTION = 0.10  # solid fraction at which aggregates are sown
+GROWTH_STEPS = 1500
+RELAX_STEPS = 3000
+CLOSE_FRACTION = 0.75  # more than any packing of these shapes takes under kilopascals
+
+
+@dataclass(frozen=True)
+class PipeContainer:
+    """The first `length` of a pipe, between two planes across it."""
+
+    axis: Axis
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        positive("container radius", self.radius, "m")
+        positive("container length", self.length, "m")
+
+    @property
+    def volume(self) -> float:
+        """[m3] (Pappus: a bend does not change it)."""
+        return float(np.pi * self.radius**2 * self.length)
+
+    @property
+    def narrowest(self) -> float:
+        """Largest sphere diameter that fits [m]."""
+        return min(2 * self.radius, self.length)
+
+    def walls(self, material: str) -> tuple:
+        """Pipe and end planes."""
+        points, tangents = self.axis.at([0.0, self.length])
+        return (
+            PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material),
+            PlaneWall(name="start", point=tuple(points[0]), normal=tuple(tangents[0]), material=material),
+            PlaneWall(name="end", point=tuple(points[1]), normal=tuple(-tangents[1]), material=material),
+        )
+
+    def pilot(self) -> PipeContainer:
+        """A smaller container in which packings are much the same."""
+        return replace(self, length=min(self.length, 3 * self.radius))
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Well spread points inside, shape (count, 3) [m]."""
+        u = spread_points(count, random)
+        s = u[:, 0] * self.length
+        r = self.radius * np.sqrt(u[:, 1])
+        angle = 2 * np.pi * u[:, 2]
+        points, _, normal, side = self.axis.frame(s)
+        return points + (r * np.cos(angle))[:, None] * normal + (r * np.sin(angle))[:, None] * side
+
+
+@dataclass(frozen=True)
+class MeshContainer:
+    """Inside of a closed triangle mesh: a ``trimesh.Trimesh`` or a path that trimesh reads."""
+
+    mesh: object
+
+    def __post_init__(self) -> None:
+        from .meshes import load_closed
+
+        object.__setattr__(self, "mesh", load_closed(self.mesh, "container"))
+
+    @property
+    def volume(self) -> float:
+        """[m3]"""
+        return float(self.mesh.volume)  # type: ignore[attr-defined]
+
+    @property
+    def narrowest(self) -> float:
+        """Shortest side of the bounding box [m]."""
+        return float(self.mesh.extents.min())  # type: ignore[attr-defined]
+
+    def walls(self, material: str) -> tuple:
+        """The mesh itself."""
+        return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
+
+    def pilot(self) -> MeshContainer:
+        """The container itself: of a mesh nothing smaller is alike."""
+        return self
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Well spread points inside, shape (count, 3) [m]."""
+        from .meshes import signed_distance
+
+        lower, upper = self.mesh.bounds  # type: ignore[attr-defined]
+        wanted = int(1.2 * count * np.prod(upper - lower) / self.volume) + 64
+        while True:
+            points = lower + spread_points(wanted, random) * (upper - lower)
+            inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
+            if len(inside) >= count:
+                # A sequence is well spread in whole only: thin it evenly.
+                return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
+            wanted *= 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fill:
+    """Aggregates and the container they are packed into."""
+
+    container: PipeContainer | MeshContainer
+    sizes: Sizes = field(default_factory=Gaussian)
+    templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
+    shares: tuple[float, ...] | None = None
+    """Volume share of each template; None: equal."""
+    density: float = 2500.0
+    """[kg/m3]"""
+    material: str = "aggregate"
+    solid_fraction: float | None = None
+    """Solid volume over container volume; give this or `pressure`."""
+    pressure: float | None = None
+    """Mean pressure of the finished packing, without gravity or friction [Pa]."""
+
+    def __post_init__(self) -> None:
+        positive("density", self.density, "kg/m3")
+        if (self.solid_fraction is None) == (self.pressure is None):
+            refuse("solid_fraction", self.solid_fraction, "give either a solid fraction or a pressure")
+        if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
+            refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
+        if self.pressure is not None:
+            positive("packing pressure", self.pressure, "Pa")
+        if not self.templates:
+            refuse("templates", self.templates, "needs one or more")
+        shares = np.ones(len(self.templates)) if self.shares is None else np.asarray(self.shares, float)
+        if shares.shape != (len(self.templates),) or np.any(shares < 0) or not shares.sum() > 0:
+            refuse("shares", self.shares, f"must be {len(self.templates)} shares, 0 or more, not all 0")
+        object.__setattr__(self, "shares", tuple((shares / shares.sum()).tolist()))
+        # An aggregate lies along the container if it is long, so its thinnest width decides.
+        thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
+        if thickest >= self.container.narrowest:
+            refuse(
+                "largest size",
+                self.sizes.largest,
+                f"does not fit the container, which is {self.container.narrowest:g} m across",
+                "choose smaller aggregates or a wider pipe",
+            )
+
+
+@dataclass(frozen=True)
+class PackingReport:
+    """What a packing came to."""
+
+    bodies: int
+    spheres: int
+    solid_fraction: float
+    """Solid volume (overlaps inside a clump counted once) over container volume."""
+    coordination_number: float
+    """Mean number of touching neighbours of a body; walls do not count."""
+    mean_overlap: float
+    """Of touching spheres, over the smaller radius."""
+    largest_overlap: float
+    pressure: float
+    """Mean pressure from contact forces, container walls not counted [Pa]."""
+    size_factor: float
+    """All sizes were multiplied by this to meet a pressure; 1 for a solid fraction."""
+
+
+def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
+    """Low-discrepancy points in the unit cube (Roberts' R3 sequence), randomly shifted; shape (count, 3)."""
+    root = 1.2207440846057596  # real root of x^4 = x + 1
+    steps = root ** -np.arange(1, 4)
+    return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
+
+
+def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
+    """Uniformly distributed unit quaternions x, y, z, w, shape (count, 4)."""
+    q = random.normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def draw(fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator) -> BodyTable:
+    """Aggregates with a total of `fraction` times the container's volume, sown at well spread points."""
+    wanted = fraction * container.volume
+    sizes = np.empty(0)
+    while np.pi / 6 * np.sum(sizes**3) < wanted:
+        sizes = np.concatenate([sizes, fill.sizes.sample(max(16, len(sizes)), random)])
+    total = np.cumsum(np.pi / 6 * sizes**3)
+    count = int(np.searchsorted(total, wanted)) + 1
+    if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
+        count -= 1  # whichever comes nearer
+    sizes = sizes[:count]
+    # Sizes do not depend on the shape, so shares by number are shares by volume.
+    template = random.choice(len(fill.templates), size=count, p=fill.shares)
+    points = container.sample(count, random)[random.permutation(count)]
+    zero = np.zeros((count, 3))
+    return BodyTable(
+        points, random_orientations(count, random), zero, zero, sizes, template, np.full(count, fill.density),
+        [fill.material] * count, [""] * count, fill.templates,
+    )  # fmt: skip
+
+
+def pack(
+    fill: Fill,
+    *,
+    contact: Contact | None = None,
+    seed: int = 0,
+    device=None,
+    precision: str = "float32",
+    progress: Callable[[float], None] | None = None,
+) -> tuple[BodyTable, PackingReport]:
+    """Pack aggregates into their container: sow them small, let them grow, frictionless and damped, and settle.
+
+    Returns the bodies at rest and a report. `progress` is called with the share done. To meet a pressure, a
+    pilot packing finds the solid fraction that belongs to it; the packing itself then stops growing where the
+    pressure is met, which changes all sizes by a factor near 1 that the report names.
+    """
+    contact = contact or Contact()
+    random = np.random.default_rng([seed, 1])
+    tell = progress or (lambda share: None)
+    if fill.pressure is None:
+        assert fill.solid_fraction is not None
+        table, report = _grow(fill, fill.container, fill.solid_fraction, None, contact, random, device, precision, tell)
+        return table, report
+    pilot = fill.container.pilot()
+    share = pilot.volume / (pilot.volume + fill.container.volume)
+    _, found = _grow(
+        fill, pilot, CLOSE_FRACTION, fill.pressure, contact, random, device, precision, lambda s: tell(share * s)
+    )
+    return _grow(
+        fill,
+        fill.container,
+        min(found.solid_fraction * 1.02, CLOSE_FRACTION),
+        fill.pressure,
+        contact,
+        random,
+        device,
+        precision,
+        lambda s: tell(share + (1 - share) * s),
+    )
+
+
+def _grow(fill, container, fraction, pressure, contact, random, device, precision, tell):
+    from .model import find_device
+
+    device = find_device(device) if device is None or isinstance(device, str) else device
+    table = draw(fill, container, fraction, random)
+    smooth = replace(contact, friction=0.0, normal_damping_ratio=max(contact.normal_damping_ratio, 0.5))
+    scene = Scene(
+        name="packing",
+        duration=0.0,
+        fill=fill,
+        walls=container.walls("wall"),
+        contact=smooth,
+        gravity=(0.0, 0.0, 0.0),
+    )
+    model = build_model(scene, device, precision, growth=True)
+    state = State(model, table)
+    start = min(1.0, (START_FRACTION / fraction) ** (1 / 3))
+    state.scale.fill_(start)
+    _resize(state, table, start)
+    rate = (1.0 - start) / GROWTH_STEPS
+    stepper = Stepper(model, state, TimeStep(), local_damping=0.5, growth_rate=rate, growth_end=1.0)
+    chunk = 50
+    try:
+        for number in range(GROWTH_STEPS // chunk):
+            stepper.choose_dt()
+            stepper.take(chunk)
+            tell(0.6 * (number + 1) * chunk / GROWTH_STEPS)
+            if pressure is not None and number % 2 and _pressure(model, state, container.volume) > pressure:
+                break
+        # Rest, and with a wanted pressure creep towards it from either side.
+        steps, good = RELAX_STEPS, 0
+        for number in range(steps // chunk):
+            if pressure is not None:
+                error = pressure - _pressure(model, state, container.volume)
+                good = good + 1 if abs(error) < 0.03 * pressure else 0
+                if good == 4:
+                    break
+                # dp/d(ln size) of a packing is about its contacts' modulus.
+                change = np.clip(error / contact.effective_modulus, -2e-3, 2e-3)
+                stepper.change(growth_rate=float(change) / chunk, growth_end=2.0)
+            stepper.choose_dt()
+            stepper.take(chunk)
+            tell(0.6 + 0.4 * (number + 1) * chunk / steps)
+    except InstabilityError as error:
+        raise InstabilityError(f"packing to a solid fraction of {fraction:.3g} failed: {error}") from error
+    stepper.stop_motion()
+    factor = float(state.scale.numpy()[0])
+    sums = contact_sums(model, state, coordination=True)
+    result = state.table()
+    # The grown sizes keep their density, not their mass.
+    result.density = table.density.copy()
+    result.velocity = np.zeros_like(result.velocity)
+    result.spin = np.zeros_like(result.spin)
+    report = PackingReport(
+        bodies=len(result),
+        spheres=state.sphere_count,
+        solid_fraction=float(result.volume.sum() / container.volume),
+        coordination_number=sums.coordination_number,
+        mean_overlap=sums.mean_overlap,
+        largest_overlap=sums.largest_overlap,
+        pressure=sums.virial / (3 * container.volume),
+        size_factor=factor,
+    )
+    return result, report
+
+
+def _pressure(model, state, volume: float) -> float:
+    return contact_sums(model, state).virial / (3 * volume)
+
+
+def _resize(state: State, table: BodyTable, factor: float) -> None:
+    """Shrink spheres about their bodies' centroids."""
+    position = state.sphere_position.numpy().astype(float)
+    centre = table.position[state.sphere_body.numpy()]
+    position[:, :3] = centre + factor * (position[:, :3] - centre)
+    position[:, 3] *= factor
+    state.sphere_position.assign(position.astype(state.sphere_position.numpy().dtype))
+
+

@@ -1,0 +1,185 @@
+"""The step loop: launches stages many at a time, rebuilds lists when asked, adapts the step size."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from .dem import StableStep, step_stages
+from .errors import CapacityError, InstabilityError, refuse
+from .kernels.types import DT, DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
+from .model import Model
+from .neighbors import NeighborLists
+from .scene import TimeStep
+from .state import State
+
+SKIN = 0.25  # of the mean sphere radius; measured optimum for pumping, flat between 0.15 and 0.4
+
+
+class Stepper:
+    """Carries a state forward in time.
+
+    A state whose lists no longer cover every possible contact freezes itself on the device: the kernels
+    return at once until the lists are rebuilt. So no contact is missed, however many steps are in flight.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        time_step: TimeStep,
+        *,
+        local_damping: float = 0.0,
+        growth_rate: float = 0.0,
+        growth_end: float = 1.0,
+        skin: float | None = None,
+    ) -> None:
+        self.model, self.state, self.time_step = model, state, time_step
+        radii = state.sphere_offset.numpy()[:, 3]
+        mean = float(radii.mean()) if len(radii) else 1.0
+        self.skin = SKIN * mean if skin is None else skin
+        gaps = [b.gap for b in model.bond_kinds]
+        self.skin = max(self.skin, 1.01 * max(gaps, default=0.0))
+        self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin)
+        self.stable_step = StableStep(model, state)
+        self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
+        self._graphs: dict[int, object] = {}
+        self._since_estimate = math.inf
+        self.rebuild()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.state.clock.numpy()[int(TIME)])
+
+    @property
+    def steps(self) -> int:
+        """Completed steps."""
+        return int(self.state.flags.numpy()[int(STEPS)])
+
+    @property
+    def dt(self) -> float:
+        """Size of the next step [s]."""
+        return float(self.state.clock.numpy()[int(DT)])
+
+    def change(self, **settings: float) -> None:
+        """Change `local_damping`, `growth_rate` or `growth_end` from the next step on."""
+        self._settings.update(settings)
+        self._record()
+
+    def rebuild(self) -> None:
+        """Build the lists anew."""
+        if self.lists(self.model, self.state) or not hasattr(self, "stages"):
+            self._record()
+
+    def restart_clock(self) -> None:
+        """Set time, step count and the walls' records to zero; the next kick is a half one."""
+        state = self.state
+        clock = state.clock.numpy()
+        clock[[int(TIME), int(DT_PREVIOUS)]] = 0.0
+        state.clock.assign(clock)
+        state.flags.zero_()
+        for array in (
+            state.wall_impulse, state.wall_angular_impulse, state.wall_travel, state.wall_work, state.wall_step_force,
+        ):  # fmt: skip
+            array.zero_()
+        self._since_estimate = math.inf
+        self.rebuild()
+
+    def stop_motion(self) -> None:
+        """Set all velocities to zero."""
+        state = self.state
+        for array in (state.body_velocity, state.body_spin, state.body_angular_momentum, state.sphere_spin):
+            array.zero_()
+        velocity = state.sphere_velocity.numpy().copy()
+        velocity[:, :3] = 0.0
+        state.sphere_velocity.assign(velocity)
+
+    def choose_dt(self) -> float:
+        """Estimate the stable step and set the size of the next steps [s]."""
+        stable = self.stable_step(self.model, self.state)
+        fixed = self.time_step.fixed
+        if fixed is not None:
+            if fixed > stable:
+                refuse(
+                    "time_step",
+                    fixed,
+                    f"is above the stable step of this scene, {stable:.3g} s",
+                    "leave it out for an automatic step",
+                )
+            dt = fixed
+        else:
+            dt = min(self.time_step.safety * stable, self.time_step.largest)
+        clock = self.state.clock.numpy()
+        clock[int(DT)] = dt
+        self.state.clock.assign(clock)
+        self._since_estimate = 0
+        return dt
+
+    def advance(self, until: float) -> None:
+        """Step until the simulated time reaches `until` [s], to within one step."""
+        while True:
+            dt = self.dt
+            if self._since_estimate >= self.time_step.interval:
+                dt = self.choose_dt()
+            left = math.ceil((until - self.time) / dt - 1e-6)
+            if left <= 0:
+                return
+            self.take(min(left, self.time_step.interval - int(self._since_estimate)))
+
+    def take(self, count: int) -> None:
+        """Take `count` steps of the present size."""
+        goal = self.steps + count
+        if self._since_estimate == math.inf:
+            self.choose_dt()
+        if self.model.device.is_cuda:
+            while (left := goal - self.steps) > 0:
+                self._launch_graph(left)
+                self._attend()
+        else:
+            flags = self.state.flags.numpy()  # a view: reading it costs nothing
+            while flags[int(STEPS)] < goal:
+                for stage in self.stages:
+                    stage()
+                if flags[int(STALE)] or flags[int(FAILED)] or flags[int(OVERFLOW)]:
+                    self._attend()
+        self._since_estimate += count
+
+    def _attend(self) -> None:
+        flags = self.state.flags.numpy()
+        if flags[int(FAILED)]:
+            place = int(flags[int(FAILED)]) - 1
+            body = int(self.state.body_id.numpy()[place])
+            speed = float(np.linalg.norm(self.state.body_velocity.numpy()[place]))
+            raise InstabilityError(
+                f"body {body} left all bounds at t = {self.time:.6g} s (its speed before was {speed:.3g} m/s); "
+                "try a smaller time step (safety below 0.8) or softer contacts"
+            )
+        if flags[int(OVERFLOW)]:
+            raise CapacityError(
+                f"at t = {self.time:.6g} s a sphere touches a mesh wall in more than six directions at once; "
+                "use finer aggregates or a coarser mesh"
+            )
+        if flags[int(STALE)]:
+            self.rebuild()
+
+    def _record(self) -> None:
+        self.stages = step_stages(
+            self.model, self.state, skin=self.skin, mesh_skin=self.lists.mesh_skin, **self._settings
+        )
+        self._graphs.clear()
+
+    def _launch_graph(self, count: int) -> None:
+        # Powers of two, so that few graphs serve every count.
+        size = 1 << (count.bit_length() - 1)
+        if size not in self._graphs:
+            for stage in self.stages:  # load every kernel before capture; on a frozen state nothing moves
+                wp.load_module(stage.kernel.module, device=self.model.device)
+            with wp.ScopedCapture(device=self.model.device) as capture:
+                for _ in range(size):
+                    for stage in self.stages:
+                        stage()
+            self._graphs[size] = capture.graph
+        wp.capture_launch(self._graphs[size])
