@@ -1,8 +1,9 @@
 """Stable step from masses and live stiffness, bonds included (conventions of PFC 5.0).
 
 For each body: the stiffness matrix of its touching or bonded contacts, translation by its largest absolute
-row sum, rotation by a bound with lever arms and bond moments; the dashpot with critical ratio beta stiffens
-k to k / (sqrt(1 + beta^2) - beta)^2. The step is min sqrt(m / k).
+row sum; likewise the rotational stiffness matrix (lever arms of contacts, moments of bonds) in principal axes,
+scaled by the moments of inertia. The dashpot with critical ratio beta stiffens k to
+k / (sqrt(1 + beta^2) - beta)^2. The step is min sqrt(m / k).
 """
 
 import functools
@@ -42,6 +43,14 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
     def outer(n: t.vec3, kn: scalar, ks: scalar):
         return (kn - ks) * wp.outer(n, n) + ks * wp.identity(n=3, dtype=scalar)
 
+    @wp.func
+    def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
+        # Stiffness against rotation of a contact at `r` from the centroid: springs at the end of the lever,
+        # and the bond's own moments.
+        c = wp.cross(r, n)
+        levers = wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
+        return (kn - ks) * wp.outer(c, c) + ks * levers + outer(n, torsion, bending)
+
     @wp.kernel(module="unique", enable_backward=False)
     def gather(
         contact_parameters: wp.array(dtype=ContactParameters),
@@ -63,15 +72,15 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         pair_other: wp.array(dtype=wp.int32),
         pair_bond: wp.array(dtype=wp.int32),
         translation: wp.array(dtype=t.mat33),
-        rotation: wp.array(dtype=scalar),
+        rotation: wp.array(dtype=t.mat33),
     ):
         i = wp.tid()
         xi = xyz(sphere_position[i])
         radius_i = sphere_position[i][3]
         row = sphere_material[i] * materials
-        arm_i = wp.length(xi - body_position[sphere_body[i]]) + radius_i
+        arm_i = xi - body_position[sphere_body[i]]
         sum_i = t.mat33()
-        turn_i = scalar(0.0)
+        turn_i = t.mat33()
         for k in range(pair_start[i], pair_start[i + 1]):
             j = decode(pair_other[k])
             offset = xyz(sphere_position[j]) - xi
@@ -87,6 +96,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 kn = damped(p, normal_stiffness(p, smaller, length))
                 ks = kn * p.shear_to_normal
                 bending = scalar(0.0)
+                torsion = scalar(0.0)
                 if wp.static(bonds):
                     if bond > 0:
                         b = bond_parameters[bond]
@@ -95,17 +105,16 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                         kb = b.effective_modulus / length * area
                         kn += kb
                         ks += kb * b.shear_to_normal
-                        bending = kb * r * r * scalar(0.25) * (scalar(1.0) + scalar(2.0) * b.shear_to_normal)
+                        bending = scalar(0.25) * kb * r * r
+                        torsion = scalar(2.0) * bending * b.shear_to_normal
                 n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
                 block = outer(n, kn, ks)
                 sum_i += block
-                lever_i = arm_i - radius_i
-                turn_i += (kn * lever_i * lever_i + ks * arm_i * arm_i) + bending
+                turn_i += turning(arm_i + radius_i * n, n, kn, ks, bending, torsion)
                 if wp.static(half):
-                    arm_j = wp.length(xyz(sphere_position[j]) - body_position[sphere_body[j]]) + radius_j
-                    lever_j = arm_j - radius_j
+                    arm_j = xyz(sphere_position[j]) - body_position[sphere_body[j]]
                     translation[j] = translation[j] + block
-                    rotation[j] = rotation[j] + (kn * lever_j * lever_j + ks * arm_j * arm_j) + bending
+                    rotation[j] = rotation[j] + turning(arm_j - radius_j * n, n, kn, ks, bending, torsion)
         for w in range(analytic):
             n = t.vec3()
             distance = scalar(0.0)
@@ -120,16 +129,16 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 p = contact_parameters[row + walls[w].material]
                 kn = damped(p, normal_stiffness(p, radius_i, radius_i))
                 ks = kn * p.shear_to_normal
-                lever_i = arm_i - radius_i
                 sum_i += outer(n, kn, ks)
-                turn_i += kn * lever_i * lever_i + ks * arm_i * arm_i
+                turn_i += turning(arm_i - radius_i * n, n, kn, ks, scalar(0.0), scalar(0.0))
         if candidate_start[i + 1] > candidate_start[i]:
             # Near a mesh: count one contact in any direction, and no more, without finding it.
             w = face_wall[candidate_face[candidate_start[i]]]
             p = contact_parameters[row + walls[w].material]
             kn = damped(p, normal_stiffness(p, radius_i, radius_i))
             sum_i += kn * wp.identity(n=3, dtype=scalar)
-            turn_i += kn * arm_i * arm_i
+            arm = wp.length(arm_i) + radius_i
+            turn_i += kn * arm * arm * wp.identity(n=3, dtype=scalar)
         translation[i] = translation[i] + sum_i
         rotation[i] = rotation[i] + turn_i
 
@@ -139,22 +148,23 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         materials: wp.int32,
         body_mass: wp.array(dtype=scalar),
         body_inertia: wp.array(dtype=t.vec3),
+        body_orientation: wp.array(dtype=t.quat),
         body_first: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
         sphere_material: wp.array(dtype=wp.int32),
         translation: wp.array(dtype=t.mat33),
-        rotation: wp.array(dtype=scalar),
+        rotation: wp.array(dtype=t.mat33),
         smallest: wp.array(dtype=wp.float64),
     ):
         b = wp.tid()
         total = t.mat33()
-        turn = scalar(0.0)
+        turn = t.mat33()
         floor = scalar(0.0)
         for s in range(body_first[b], body_first[b + 1]):
             total += translation[s]
             turn += rotation[s]
             translation[s] = t.mat33()
-            rotation[s] = scalar(0.0)
+            rotation[s] = t.mat33()
             # A body in flight must survive its next touch: never less than one contact.
             radius = sphere_position[s][3]
             for m in range(materials):
@@ -163,10 +173,18 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         k = floor
         for r in range(3):
             k = wp.max(k, wp.abs(total[r, 0]) + wp.abs(total[r, 1]) + wp.abs(total[r, 2]))
-        inertia = wp.min(body_inertia[b])
         step = wp.sqrt(body_mass[b] / k)
-        if turn > scalar(0.0):
-            step = wp.min(step, wp.sqrt(inertia / turn))
+        axes = wp.quat_to_matrix(body_orientation[b])
+        local = wp.transpose(axes) * turn * axes
+        inertia = body_inertia[b]
+        spin = scalar(0.0)
+        for r in range(3):
+            row = scalar(0.0)
+            for c in range(3):
+                row += wp.abs(local[r, c]) / wp.sqrt(inertia[r] * inertia[c])
+            spin = wp.max(spin, row)
+        if spin > scalar(0.0):
+            step = wp.min(step, scalar(1.0) / wp.sqrt(spin))
         wp.atomic_min(smallest, 0, wp.float64(step))
 
     return gather, reduce

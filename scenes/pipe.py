@@ -85,7 +85,7 @@ def scene(
     wall: Annotated[str, "pipe wall: analytic, mesh, or the path of an STL file around the same axis"] = "analytic",
     wall_scale: Annotated[float, "factor from the units of the wall file to metres"] = 1.0,
     facets: Annotated[int, "facets round the pipe of wall=mesh"] = 64,
-    settle: Annotated[float, "time under gravity and plug pressure before the piston starts [s]"] = 0.3,
+    settle: Annotated[float, "longest time to settle under gravity and plug pressure before the start [s]"] = 2.0,
     time_step: Annotated[float | None, "fixed time step [s]; default: automatic"] = None,
     safety: Annotated[float, "automatic time step over the stable one"] = 0.8,
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]"] = 0.01,
@@ -240,6 +240,9 @@ def scene(
             "concrete_length": length,
             "unit": unit,
             "ramp": ramp,
+            "velocity": velocity,
+            "simplified": _simplifications(shapes),
+            "paper": PAPER.get(unit, {}) if _is_reference(given) else {},
         },
     )
 
@@ -349,6 +352,22 @@ def _distance_from_axis(axis: Axis, x: np.ndarray) -> float:
             centre = row["radius"] * (math.cos(angle) * row["outward"] + math.sin(angle) * row["tangent"])
             best = min(best, float(np.linalg.norm(local - centre)))
     return best
+
+
+def _simplifications(shapes: str) -> tuple[str, ...]:
+    if shapes == "spheres":
+        return (
+            "aggregates are single spheres, which run four times as fast as the paper's clumps; "
+            "--shapes reference uses clumps",
+        )
+    return ()
+
+
+def _is_reference(given: dict[str, Any]) -> bool:
+    """Is this the paper's case, as far as it is stated? (Shapes differ: it shows no coordinates.)"""
+    free = {"unit", "shapes", "wall", "wall_scale", "facets", "seed", "settle", "safety", "sample_interval", "travel"}
+    defaults = {name: p.default for name, p in _parameter_names().items()}
+    return all(given[name] == defaults[name] for name in given if name not in free)
 
 
 def _parameter_names() -> dict[str, Any]:

@@ -1,1 +1,47 @@
-"""warpcrete: particle simulation of fresh concrete being pumped, on GPU or CPU."""
+"""warpcrete: particle simulation of fresh concrete being pumped, on GPU or CPU.
+
+    import warpcrete
+    run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from .errors import (
+    CapacityError,
+    DeviceError,
+    InstabilityError,
+    RunFolderError,
+    SceneError,
+    WarpcreteError,
+)
+
+if TYPE_CHECKING:
+    from .scene import Scene
+    from .simulation import Run, Simulation
+
+__all__ = [
+    "CapacityError",
+    "DeviceError",
+    "InstabilityError",
+    "Run",
+    "RunFolderError",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "WarpcreteError",
+    "scenes",
+]
+
+_LAZY = {"Simulation": "simulation", "Run": "simulation", "Scene": "scene"}
+
+
+def __getattr__(name: str) -> Any:
+    # Warp takes half a second to import: only what is used is loaded.
+    if name in _LAZY:
+        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    if name == "scenes":
+        return importlib.import_module(".scenes", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

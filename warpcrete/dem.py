@@ -120,7 +120,7 @@ class StableStep:
         self._gather, self._reduce = timestep_kernels(model.scalar, f.half_list, f.bonds)
         mat33 = types(model.scalar).mat33
         self._translation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
-        self._rotation = wp.zeros(state.sphere_count, dtype=model.scalar, device=model.device)
+        self._rotation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
         self._smallest = wp.zeros(1, dtype=wp.float64, device=model.device)
 
     def __call__(self, model: Model, state: State) -> float:
@@ -146,7 +146,7 @@ class StableStep:
             dim=state.body_count,
             inputs=[
                 model.contact_parameters, model.material_count, state.body_mass, state.body_inertia,
-                state.body_first, state.sphere_position, state.sphere_material, self._translation, self._rotation,
+                state.body_orientation, state.body_first, state.sphere_position, state.sphere_material, self._translation, self._rotation,
                 self._smallest,
             ],
             device=device,

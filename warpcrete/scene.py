@@ -283,9 +283,9 @@ class TimeStep:
 class Settle:
     """Quiet time before t = 0: walls stand still, gravity and drives act, motion is damped."""
 
-    duration: float = 0.2
-    """[s]"""
-    local_damping: float = 0.7
+    duration: float = 2.0
+    """Longest [s]; ends earlier once the kinetic energy is a hundred-thousandth of the elastic."""
+    local_damping: float = 0.5
     """Share of the unbalanced force that opposes motion (PFC's local damping)."""
 
     def __post_init__(self) -> None:

@@ -18,8 +18,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .dem import make_bonds, reassign_bonds
 from .errors import RunFolderError
+from .kernels.walls import FIXED, PRESCRIBED
 from .model import build_model, find_device
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
@@ -29,6 +29,8 @@ from .stepper import Stepper
 
 Progress = Callable[[str, float, dict[str, Any]], None]
 """Called with the phase (`packing`, `settling`, `running`), the share done and a few current figures."""
+
+QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 
 UNITS = {
     "time": "s",
@@ -136,7 +138,7 @@ class Simulation:
         self.stepper = Stepper(model, self.state, scene.time_step, local_damping=damping)
         first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
         for number, (group, bonds) in enumerate(scene.group_bonds.items()):
-            make_bonds(model, self.state, bonds, first_group_kind + number, model.groups.index(group))
+            self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
         self.stepper.choose_dt()  # refuses an unstable fixed step before anything is written
 
         started = wall_clock.perf_counter()
@@ -152,10 +154,9 @@ class Simulation:
         scene = self.scene
         if scene.bonds is None:
             return
-        self.bonds_made = make_bonds(self.model, self.state, scene.bonds, 1)
+        self.stepper.bond(scene.bonds, 1)
         if scene.hydration is not None:
-            reassign_bonds(self.model, self.state, 1, 2, scene.hydration.share, scene.seed)
-        self.stepper._since_estimate = np.inf
+            self.stepper.hydrate(1, 2, scene.hydration.share, scene.seed)
 
     def run(self) -> Run:
         """Prepare and run to the end of the scene's duration, or until `stop_requested` or Ctrl-C."""
@@ -208,15 +209,18 @@ class Simulation:
 
     def _settle(self, duration: float) -> None:
         # Walls that will move stand still: their motion starts with the clock of the run proper.
-        parts = 20
         walls = self.model.wall_table.numpy().copy()
         still = walls.copy()
-        prescribed = still["motion"] == 1
-        still["motion"][prescribed] = 0
+        prescribed = still["motion"] == int(PRESCRIBED)
+        still["motion"][prescribed] = int(FIXED)
         self.model.wall_table.assign(still)
+        parts = 50
         for part in range(parts):
             self.stepper.advance(duration * (part + 1) / parts)
             self._tell("settling", (part + 1) / parts)
+            kinetic = body_sums(self.model, self.state).kinetic_energy
+            if part > 2 and kinetic < QUIET * contact_sums(self.model, self.state).elastic_energy:
+                break
         self.model.wall_table.assign(walls)
 
     def _tell(self, phase: str, share: float, **figures: Any) -> None:
@@ -281,6 +285,9 @@ class Simulation:
             "bodies": self.state.body_count,
             "spheres": self.state.sphere_count,
         }
+        if "concrete_length" in self.scene.notes:
+            result["unit"] = self.scene.notes["unit"]
+            result["concrete_length"] = quantity(self.scene.notes["concrete_length"], "m")
         if self.packing is not None:
             result["packing"] = asdict(self.packing)
         if self.rows:

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import warp as wp
 
-from .dem import StableStep, step_stages
+from .dem import StableStep, make_bonds, reassign_bonds, step_stages
 from .errors import CapacityError, InstabilityError, refuse
 from .kernels.types import DT, DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
 from .model import Model
 from .neighbors import NeighborLists
-from .scene import TimeStep
+from .scene import Bonds, TimeStep
 from .state import State
 
-SKIN = 0.25  # of the mean sphere radius; measured optimum for pumping, flat between 0.15 and 0.4
+SKIN = 0.35  # of the mean sphere radius; the cost of a pumping step is flat from 0.3 to 0.75
 
 
 class Stepper:
@@ -40,8 +40,6 @@ class Stepper:
         radii = state.sphere_offset.numpy()[:, 3]
         mean = float(radii.mean()) if len(radii) else 1.0
         self.skin = SKIN * mean if skin is None else skin
-        gaps = [b.gap for b in model.bond_kinds]
-        self.skin = max(self.skin, 1.01 * max(gaps, default=0.0))
         self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin)
         self.stable_step = StableStep(model, state)
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
@@ -73,6 +71,22 @@ class Stepper:
         """Build the lists anew."""
         if self.lists(self.model, self.state) or not hasattr(self, "stages"):
             self._record()
+
+    def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
+        """Bond pairs within `bonds.gap` (inside a `group` only, if given); returns how many of `kind` there are."""
+        usual = self.lists.skin
+        self.lists.skin = max(usual, 1.001 * bonds.gap)
+        self.rebuild()
+        made = make_bonds(self.model, self.state, bonds, kind, group)
+        self.lists.skin = usual
+        self.rebuild()
+        self._since_estimate = math.inf
+        return made
+
+    def hydrate(self, old: int, new: int, share: float, seed: int) -> int:
+        """Give a random share of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
+        self._since_estimate = math.inf
+        return reassign_bonds(self.model, self.state, old, new, share, seed)
 
     def restart_clock(self) -> None:
         """Set time, step count and the walls' records to zero; the next kick is a half one."""

@@ -1,0 +1,37 @@
+"""Progress bar for terminals and notebooks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class ProgressBar:
+    """Callable for `Simulation(progress=...)`: one tqdm bar, with time left, pressure and speed."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+        self._phase = ""
+
+    def __call__(self, phase: str, share: float, figures: dict[str, Any]) -> None:
+        """Show the share done of a phase."""
+        from tqdm.auto import tqdm
+
+        if phase != self._phase:
+            self.close()
+            self._phase = phase
+            layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
+            self._bar = tqdm(total=1.0, desc=phase, bar_format=layout)
+        self._bar.n = min(share, 1.0)
+        shown = {}
+        if "pressure" in figures:
+            shown["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
+        if "steps_per_s" in figures:
+            shown["steps/s"] = f"{figures['steps_per_s']:.0f}"
+        self._bar.set_postfix(shown, refresh=False)
+        self._bar.refresh()
+
+    def close(self) -> None:
+        """Finish the line."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

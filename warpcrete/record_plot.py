@@ -1,0 +1,65 @@
+"""Pressure against piston travel as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from .simulation import Run, Simulation
+
+
+def plot_pressure(runs: dict[str, Run] | Run, paper: dict[str, float] | None = None):
+    """Matplotlib figure of pumping pressure [kPa] against piston travel [m] of one run, or of several by name.
+
+    `paper` adds the published `peak`, `plateau` [Pa] and `peak_travel` [m] as marks.
+    """
+    from matplotlib.figure import Figure
+
+    many = runs if isinstance(runs, dict) else {"": runs}
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for name, run in many.items():
+        axes.plot(run.series["travel"], run.series["pressure"] / 1e3, label=name or "this run", linewidth=1.6)
+    run = next(iter(many.values()))
+    ramp = run.scene.notes.get("ramp")
+    if ramp and ramp < run.series["travel"].max():
+        axes.axvline(ramp, color="0.7", linewidth=0.8)
+        axes.annotate("steady from here", (ramp, 0.02), xycoords=("data", "axes fraction"), xytext=(4, 0),
+                      textcoords="offset points", color="0.45", fontsize=8)  # fmt: skip
+    if paper:
+        if "plateau" in paper:
+            axes.axhline(paper["plateau"] / 1e3, color="0.4", linestyle=":", label="plateau, Zhan et al. 2019")
+        if "peak_travel" in paper:
+            axes.plot(paper["peak_travel"], paper["peak"] / 1e3, "k+", markersize=10, label="peak, Zhan et al. 2019")
+        elif "peak" in paper:
+            axes.axhline(paper["peak"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="maximum, Zhan et al. 2019")
+    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
+    axes.set_xlim(0, float(np.max([r.series["travel"].max() for r in many.values()])) or 1)
+    if len(many) > 1 or paper:
+        axes.legend(frameon=False, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+class PlotRecorder:
+    """Writes pressure.png when the run ends."""
+
+    def __init__(self, path: Path, paper: dict[str, float] | None = None) -> None:
+        self.path, self.paper = path, paper
+
+    def start(self, simulation: Simulation) -> None:
+        """Nothing to do yet."""
+
+    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
+        """Nothing: the run keeps its series."""
+
+    def frame(self, simulation: Simulation) -> None:
+        """Nothing."""
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Draw, if the scene has a pumping pressure."""
+        if "pressure" in run.series:
+            partial = self.path.with_name(self.path.name + ".partial")
+            plot_pressure(run, self.paper).savefig(partial, dpi=150, format="png")
+            partial.replace(self.path)

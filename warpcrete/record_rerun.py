@@ -1,0 +1,149 @@
+"""Recording for the Rerun viewer: to a file, to a viewer, or both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
+from .errors import one_of
+from .simulation import Run, Simulation
+
+WALL_COLOURS = {"pipe": (150, 165, 180, 40), "piston": (190, 110, 60, 255)}
+
+
+class RerunRecorder:
+    """Aggregates (every clump drawn by its own spheres), moving walls, pressure and energies on one timeline.
+
+    Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
+    (`rerun+http://127.0.0.1:9876/proxy`); `colouring` `speed`, `size` or `force`; `network` also draws the
+    touching pairs (grey) and the bonds (orange).
+    """
+
+    def __init__(
+        self, path: Path | None, *, live: bool | str = False, colouring: str = "speed", network: bool = False
+    ) -> None:
+        one_of("colour", colouring, ("speed", "size", "force"))
+        self.path, self.live, self.colouring, self.network = path, live, colouring, network
+        self._recording: Any = None
+
+    def start(self, simulation: Simulation) -> None:
+        """Open the sinks, send the blueprint and everything that does not change."""
+        import rerun as rr
+
+        self._rr = rr
+        recording = rr.RecordingStream("warpcrete")
+        self._recording = recording
+        blueprint = self._blueprint(simulation)
+        sinks: list[Any] = []
+        if self.path is not None:
+            sinks.append(rr.FileSink(str(self.path)))
+        if self.live:
+            if self.live is True:
+                rr.spawn(connect=False)
+                sinks.append(rr.GrpcSink())
+            else:
+                sinks.append(rr.GrpcSink(str(self.live)))
+        recording.set_sinks(*sinks, default_blueprint=blueprint)
+        recording.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        state = simulation.state
+        self._sphere_order = np.argsort(state.sphere_id.numpy())
+        radius = state.sphere_position.numpy()[self._sphere_order, 3]
+        recording.log("scene/aggregates", rr.Points3D.from_fields(radii=radius), static=True)
+        for number, wall in enumerate(simulation.model.walls):
+            mesh = wall_mesh(wall)
+            if mesh is None:
+                continue
+            colour = WALL_COLOURS.get(wall.name, (150, 165, 180, 120))
+            recording.log(
+                f"scene/walls/{wall.name}",
+                rr.Mesh3D(vertex_positions=mesh[0], triangle_indices=mesh[1], albedo_factor=colour),
+                static=True,
+            )
+            if wall.motion is None:
+                self._log_pose(simulation, number, static=True)
+        self._upper = colour_limit(simulation, self.colouring)
+        recording.log("pressure/piston", rr.SeriesLines(names="piston pressure [kPa]", colors=[215, 95, 30]), static=True)
+        names = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
+        for column, name in names.items():
+            recording.log(f"energy/{column}", rr.SeriesLines(names=name), static=True)
+
+    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
+        """Scalars of one row."""
+        rr, recording = self._rr, self._recording
+        self._set_time(simulation)
+        if "pressure" in row:
+            recording.log("pressure/piston", rr.Scalars(row["pressure"] / 1e3))
+        for column in ("kinetic_energy", "elastic_energy", "bond_energy"):
+            recording.log(f"energy/{column}", rr.Scalars(row[column]))
+
+    def frame(self, simulation: Simulation) -> None:
+        """Aggregates, moving walls and, if asked for, the contact network."""
+        rr, recording, state = self._rr, self._recording, simulation.state
+        self._set_time(simulation)
+        order = np.argsort(state.sphere_id.numpy())
+        body = state.body_id.numpy()[state.sphere_body.numpy()[order]]
+        tint = colours(body_values(simulation, self.colouring), self._upper)[body]
+        position = state.sphere_position.numpy()[order, :3]
+        recording.log("scene/aggregates", rr.Points3D.from_fields(positions=position, colors=tint))
+        for number, wall in enumerate(simulation.model.walls):
+            if wall.motion is not None and wall_mesh(wall) is not None:
+                self._log_pose(simulation, number)
+        if self.network:
+            self._log_network(simulation)
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Flush and close."""
+        if self._recording is not None:
+            self._recording.flush()
+            self._recording.disconnect()
+
+    def _set_time(self, simulation: Simulation) -> None:
+        self._recording.set_time("time", duration=simulation.stepper.time)
+        self._recording.set_time("step", sequence=simulation.stepper.steps)
+
+    def _log_pose(self, simulation: Simulation, number: int, static: bool = False) -> None:
+        rr = self._rr
+        position, orientation = wall_pose(simulation, number)
+        self._recording.log(
+            f"scene/walls/{simulation.model.walls[number].name}",
+            rr.Transform3D(translation=position, quaternion=rr.Quaternion(xyzw=orientation)),
+            static=static,
+        )
+
+    def _log_network(self, simulation: Simulation) -> None:
+        from .probes import listed_pairs
+
+        rr, state = self._rr, simulation.state
+        i, j, place = listed_pairs(state)
+        position = state.sphere_position.numpy()
+        reach = position[i, 3] + position[j, 3]
+        touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
+        bonded = np.zeros_like(touching)
+        if simulation.model.features.bonds:
+            bonded = state.pair_bond.numpy()[place] > 0
+        for name, chosen, colour in (
+            ("contacts", touching & ~bonded, (130, 130, 130)),
+            ("bonds", bonded, (230, 140, 30)),
+        ):
+            lines = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
+            self._recording.log(f"scene/network/{name}", rr.LineStrips3D(lines, colors=[colour], radii=4e-4))
+
+    def _blueprint(self, simulation: Simulation):
+        import rerun.blueprint as rrb
+
+        eye, target = view(simulation)
+        scene = rrb.Spatial3DView(
+            name=f"Aggregates by {self.colouring}",
+            origin="scene",
+            eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+            line_grid=rrb.LineGrid3D(visible=False),
+            background=(250, 250, 250),
+        )
+        plots = rrb.Vertical(
+            rrb.TimeSeriesView(name="Pressure on the piston", origin="pressure"),
+            rrb.TimeSeriesView(name="Energy", origin="energy"),
+        )
+        return rrb.Blueprint(rrb.Horizontal(scene, plots, column_shares=[2, 1]), collapse_panels=True)
