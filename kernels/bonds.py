@@ -42,8 +42,8 @@ def bond_kernels(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def reassign(
-        old: wp.int32,
-        new: wp.int32,
+        old_kind: wp.int32,
+        new_kind: wp.int32,
         share: wp.float64,
         seed: wp.uint32,
         sphere_id: wp.array(dtype=wp.int32),
@@ -54,12 +54,12 @@ def bond_kernels(scalar):
         """The draw depends on seed and permanent numbers only: the same on every device and in any order."""
         i = wp.tid()
         for k in range(pair_start[i], pair_start[i + 1]):
-            if pair_bond[k] == old:
+            if pair_bond[k] == old_kind:
                 a = sphere_id[i]
                 b = sphere_id[decode(pair_other[k])]
                 random = wp.rand_init(wp.int32(seed), wp.min(a, b))
                 random = wp.rand_init(wp.int32(random), wp.max(a, b))
                 if wp.float64(wp.randf(random)) < share:
-                    pair_bond[k] = new
+                    pair_bond[k] = new_kind
 
     return make, reassign

@@ -101,8 +101,8 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                     arm_b = arm_i
                     mass_a = velocity_j[3]
                     mass_b = velocity_i[3]
-                velocity = sign * (xyz(velocity_j) - xyz(velocity_i))
-                velocity = velocity - wp.cross(arm_a * spin_a + arm_b * spin_b, n)
+                apart = sign * (xyz(velocity_j) - xyz(velocity_i))
+                velocity = apart - wp.cross(arm_a * spin_a + arm_b * spin_b, n)
                 twist = scalar(0.5) * dt * wp.dot(spin_a + spin_b, n)
                 radius = wp.min(position_i[3], position_j[3])
                 mass = mass_a * mass_b / (mass_a + mass_b)
@@ -123,9 +123,13 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                             bond = 1
                             pair_bond[k] = 1
                     if bond > 0:
+                        # Distance now less distance before, without cancellation.
+                        way = dt * apart
+                        before = distance * n - way
+                        stretch = wp.dot(way, distance * n + before) / (distance + wp.length(before))
                         held_force, held_moment, outcome = bond_force(
                             bond_parameters[bond],
-                            n, velocity, spin_b - spin_a, twist, radius, reach,
+                            n, stretch, velocity, spin_b - spin_a, twist, radius, reach,
                             pair_bond_force[k], pair_bond_moment[k], dt,
                         )  # fmt: skip
                         pair_bond_force[k] = held_force

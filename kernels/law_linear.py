@@ -104,6 +104,7 @@ def law(scalar):
     def bond_force(
         p: BondParameters,
         n: t.vec3,
+        stretch: scalar,
         velocity: t.vec3,
         relative_spin: t.vec3,
         twist: scalar,
@@ -115,7 +116,9 @@ def law(scalar):
     ):
         """Parallel bond (Eqs. 9-12). Returns new force, new moment and the state of the bond.
 
-        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) part.
+        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) part. `stretch` is
+        the step's change of the centres' distance; `velocity dt` along the normal would count a rotation of the
+        pair as stretch, in first order of dt.
         """
         one = scalar(1.0)
         radius = p.radius_multiplier * smaller_radius
@@ -128,7 +131,7 @@ def law(scalar):
         spin_n = wp.dot(relative_spin, n)
         shear = rotated_with_normal(t.vec3(force[0], force[1], force[2]), n, twist)
         shear = shear + (ks * area * dt) * (velocity - vn * n)
-        tension = force[3] + kn * area * dt * vn
+        tension = force[3] + kn * area * stretch
         bending = rotated_with_normal(t.vec3(moment[0], moment[1], moment[2]), n, twist)
         bending = bending + (kn * inertia * dt) * (relative_spin - spin_n * n)
         torsion = moment[3] + ks * scalar(2.0) * inertia * dt * spin_n

@@ -11,6 +11,7 @@ import warp as wp
 from .axis import Axis
 from .errors import refuse
 from .kernels.shapes import ray_distances, signed_distances
+from .model import quiet_init
 
 
 def load(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
@@ -155,6 +156,7 @@ def rays(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray, rea
 
 
 def _warp_mesh(mesh: trimesh.Trimesh, device: str, winding: bool = False) -> wp.Mesh:
+    quiet_init()
     return wp.Mesh(
         points=wp.array(mesh.vertices.astype(np.float32), dtype=wp.vec3, device=device),
         indices=wp.array(mesh.faces.astype(np.int32).ravel(), dtype=wp.int32, device=device),

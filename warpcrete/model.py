@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -73,7 +76,7 @@ class Model:
 
 def find_device(name: str | None):
     """Warp device by name (`cpu`, `cuda`, `cuda:0`), or :class:`DeviceError`; None takes a GPU if there is one."""
-    _quiet_init()
+    quiet_init()
     available = [str(device) for device in wp.get_devices()]
     if name is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
@@ -85,11 +88,26 @@ def find_device(name: str | None):
         raise DeviceError(f"device = {name!r}: must be one of {', '.join(available)}") from error
 
 
-def _quiet_init() -> None:
-    # Warp's own start-up banner and compile notes would drown the program's output.
+def quiet_init() -> None:
+    """Start Warp without its banner, its compile notes and, where there is no NVIDIA driver, its warning of that."""
     wp.config.quiet = True
     wp.config.log_level = wp.LOG_ERROR
-    wp.init()
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        wp.init()
+        return
+    except OSError:
+        pass
+    # Warp's native code writes that warning to the process's standard error, whatever its settings.
+    sys.stderr.flush()
+    kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(sink)
 
 
 def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -> Model:

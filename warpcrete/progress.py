@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 
@@ -21,6 +22,10 @@ class ProgressBar:
             self._phase = phase
             layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
             self._bar = tqdm(total=1.0, desc=phase, bar_format=layout)
+            self._shown = 0.0
+        if share < 1.0 and time.monotonic() - self._shown < 0.2:
+            return
+        self._shown = time.monotonic()
         self._bar.n = min(share, 1.0)
         shown = {}
         if "pressure" in figures:
@@ -33,5 +38,6 @@ class ProgressBar:
     def close(self) -> None:
         """Finish the line."""
         if self._bar is not None:
+            self._bar.refresh()
             self._bar.close()
             self._bar = None

@@ -12,7 +12,7 @@ import platform
 import time as wall_clock
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -132,6 +132,7 @@ class Simulation:
                 precision=self.precision,
                 progress=lambda share: self._tell("packing", share),
             )
+        self._tell("packing", 1.0)
         self._spent["packing"] = wall_clock.perf_counter() - started
         self.state = State(model, table.joined(placed_bodies(scene)))
         damping = scene.settle.local_damping if scene.settle else scene.local_damping
@@ -221,6 +222,7 @@ class Simulation:
             kinetic = body_sums(self.model, self.state).kinetic_energy
             if part > 2 and kinetic < QUIET * contact_sums(self.model, self.state).elastic_energy:
                 break
+        self._tell("settling", 1.0)
         self.model.wall_table.assign(walls)
 
     def _tell(self, phase: str, share: float, **figures: Any) -> None:
@@ -367,8 +369,8 @@ def momentum_balance(scene: Scene, walls: Sequence, series: dict[str, np.ndarray
 def provenance(simulation: Simulation) -> dict[str, Any]:
     """Versions, device and settings that a run depends on."""
     return {
-        "warpcrete": version("warpcrete"),
-        "warp": version("warp-lang"),
+        "warpcrete": _version("warpcrete"),
+        "warp": _version("warp-lang"),
         "numpy": np.__version__,
         "python": platform.python_version(),
         "machine": platform.machine(),
@@ -377,6 +379,13 @@ def provenance(simulation: Simulation) -> dict[str, Any]:
         "precision": simulation.precision,
         "seed": simulation.scene.seed,
     }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "source tree, not installed"
 
 
 def scene_record(simulation: Simulation) -> dict[str, Any]:

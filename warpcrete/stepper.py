@@ -35,12 +35,13 @@ class Stepper:
         growth_rate: float = 0.0,
         growth_end: float = 1.0,
         skin: float | None = None,
+        sort_every: int = 20,
     ) -> None:
         self.model, self.state, self.time_step = model, state, time_step
         radii = state.sphere_offset.numpy()[:, 3]
         mean = float(radii.mean()) if len(radii) else 1.0
         self.skin = SKIN * mean if skin is None else skin
-        self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin)
+        self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin, sort_every=sort_every)
         self.stable_step = StableStep(model, state)
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
         self._graphs: dict[int, object] = {}

@@ -1,0 +1,158 @@
+"""Parallel bonds: stiffness, strength and how they break."""
+
+import math
+
+import numpy as np
+import pytest
+
+from conftest import by_id
+from test_contacts import MASS, RADIUS, two_spheres
+from warpcrete.scene import Bonds, Contact
+
+AREA, INERTIA = math.pi * RADIUS**2, math.pi * RADIUS**4 / 4
+SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
+
+
+def bonded(start, bonds, *, velocity, spins=None, gap=1e-7, dt=2e-6):
+    stepper = start(two_spheres(gap=gap, velocity=velocity, spins=spins, contact=SMOOTH, bonds=bonds, dt=dt))
+    assert stepper.bond(bonds, 1) == 1
+    return stepper
+
+
+def load(stepper):
+    """Bond force (shear x, y, z, tension) and moment (bending x, y, z, twisting) of the only pair."""
+    return stepper.state.pair_bond_force.numpy()[0].copy(), stepper.state.pair_bond_moment.numpy()[0].copy()
+
+
+def strong(**changes):
+    return Bonds(**(dict(effective_modulus=2e5, stiffness_ratio=2.0, tensile_strength=1e12, cohesion=1e12, gap=1e-6) | changes))
+
+
+def test_normal_vibration_has_the_bond_stiffness(start):
+    # Pulled apart at 0.1 m/s: force peaks at v sqrt(k m_c), where k = E / L * A.
+    k = 2e5 / (2 * RADIUS) * AREA
+    stepper = bonded(start, strong(), velocity=(0.1, 0, 0))
+    peak = 0.0
+    quarter = math.pi / 2 * math.sqrt(MASS / 2 / k)
+    for _ in range(int(1.2 * quarter / stepper.dt)):
+        stepper.take(1)
+        peak = max(peak, load(stepper)[0][3])
+    assert peak == pytest.approx(0.1 * math.sqrt(k * MASS / 2), rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("spin", "part", "stiffness"),
+    [
+        ((1.0, 0.0, 0.0), "twist", 2e5 / (2 * RADIUS) / 2 * 2 * INERTIA),
+        ((0.0, 0.0, 1.0), "bend", 2e5 / (2 * RADIUS) * INERTIA),
+    ],
+)
+def test_moments_grow_with_relative_rotation(start, spin, part, stiffness):
+    spins = np.array([-0.5 * np.array(spin), 0.5 * np.array(spin)])
+    stepper = bonded(start, strong(), velocity=(0, 0, 0), spins=spins)
+    stepper.take(20)
+    moment = load(stepper)[1]
+    turned = 19 * stepper.dt * 1.0  # the first force is taken before anything moved
+    value = moment[3] if part == "twist" else np.linalg.norm(moment[:3])
+    assert value == pytest.approx(stiffness * turned, rel=2e-3)
+
+
+def test_shear_spring_stiffness(start):
+    stepper = bonded(start, strong(), velocity=(0.0, 0.01, 0.0))
+    stepper.take(20)
+    force = load(stepper)[0]
+    assert np.linalg.norm(force[:3]) == pytest.approx(2e5 / (2 * RADIUS) / 2 * AREA * 19 * stepper.dt * 0.01, rel=2e-3)
+
+
+def broken(stepper, steps=4000):
+    flags = stepper.state.flags.numpy
+    history = []
+    for _ in range(steps):
+        history.append(load(stepper))
+        stepper.take(1)
+        if flags()[4] or flags()[5]:
+            return int(flags()[4]), int(flags()[5]), history
+    return 0, 0, history
+
+
+def test_breaks_in_tension_at_its_strength(start):
+    strength = 2000.0
+    stepper = bonded(start, strong(tensile_strength=strength), velocity=(0.3, 0, 0))
+    tension, shear, history = broken(stepper)
+    assert (tension, shear) == (1, 0)
+    increment = 2e5 / (2 * RADIUS) * AREA * 0.3 * stepper.dt
+    last = history[-1][0][3]
+    assert last <= strength * AREA <= last + increment
+    assert stepper.state.pair_bond.numpy()[0] == -1
+    assert np.all(load(stepper)[0] == 0)
+
+
+@pytest.mark.parametrize("compression", [0.0, 2e-5])
+def test_breaks_in_shear_with_friction_angle(start, compression):
+    # Under tension the shear strength is lower, under compression higher: c - sigma tan(phi).
+    cohesion, angle = 500.0, 40.0
+    stepper = bonded(start, strong(cohesion=cohesion, friction_angle=angle), velocity=(-0.02 if compression else 0.02, 0.3, 0.0))
+    tension, shear, history = broken(stepper)
+    assert (tension, shear) == (0, 1)
+    force = history[-1][0]
+    stress = force[3] / AREA
+    limit = (cohesion - stress * math.tan(math.radians(angle))) * AREA
+    step = 2e5 / (2 * RADIUS) * AREA * stepper.dt * 0.3
+    assert np.linalg.norm(force[:3]) <= limit <= np.linalg.norm(force[:3]) + 1.5 * step
+    assert (stress < 0) == bool(compression)
+
+
+def test_bending_counts_by_the_moment_factor(start):
+    strength = 1000.0
+    spins = np.array([[0.0, 0, -8.0], [0.0, 0, 8.0]])
+    limits = []
+    for factor in (1.0, 0.5):
+        stepper = bonded(start, strong(tensile_strength=strength, moment_factor=factor), velocity=(0, 0, 0), spins=spins)
+        tension, shear, history = broken(stepper)
+        assert (tension, shear) == (1, 0)
+        limits.append(np.linalg.norm(history[-1][1][:3]) * RADIUS / INERTIA)
+    assert limits[0] == pytest.approx(strength, rel=0.02)
+    assert limits[1] == pytest.approx(2 * strength, rel=0.02)
+
+
+def test_healing_bonds_at_first_touch_only_where_asked_for(start):
+    for healing in (False, True):
+        bonds = Bonds(healing=healing, tensile_strength=1e12, cohesion=1e12, effective_modulus=2e5)
+        stepper = start(two_spheres(gap=1e-4, velocity=(-0.1, 0, 0), contact=SMOOTH, bonds=bonds, dt=5e-6))
+        stepper.advance(0.02)
+        distance = np.linalg.norm(np.diff(by_id(stepper.state, "body_position"), axis=0))
+        if healing:
+            assert stepper.state.pair_bond.numpy()[0] == 1 and distance < 2 * RADIUS + 2e-4
+        else:
+            assert distance > 2 * RADIUS + 1e-4
+
+
+def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
+    bonds = strong(effective_modulus=1e3)
+    stepper = start(two_spheres(gap=1e-7, velocity=(1.0, 0, 0), contact=SMOOTH, bonds=bonds, dt=2e-5))
+    stepper.bond(bonds, 1)
+    reach = 0.0
+    for _ in range(1800):
+        stepper.take(1)
+        reach = max(reach, np.linalg.norm(np.diff(by_id(stepper.state, "body_position"), axis=0)) - 2 * RADIUS)
+    k = 1e3 / (2 * RADIUS) * AREA
+    assert reach > 2 * stepper.skin
+    assert reach == pytest.approx(1.0 * math.sqrt(MASS / 2 / k), rel=1e-2)
+    assert stepper.state.pair_total == 1
+
+
+def test_hydration_takes_the_share_asked_for(start):
+    rng = np.random.default_rng(0)
+    from warpcrete.scene import Bodies, Hydration, Scene
+
+    grid = np.stack(np.meshgrid(*[np.arange(12)] * 3), -1).reshape(-1, 3) * 0.0199 + rng.normal(0, 1e-5, (1728, 3))
+    bonds = Bonds()
+    scene = Scene(name="block", duration=0, bodies=(Bodies(positions=grid, sizes=0.02),), bonds=bonds,
+                  hydration=Hydration(share=0.2), gravity=(0, 0, 0))  # fmt: skip
+    stepper = start(scene)
+    made = stepper.bond(bonds, 1)
+    assert made == 3 * 11 * 12 * 12
+    hydrated = stepper.hydrate(1, 2, 0.2, 7)
+    assert abs(hydrated - 0.2 * made) < 4 * math.sqrt(made * 0.2 * 0.8)
+    soft = stepper.stable_step(stepper.model, stepper.state)
+    assert soft < 1e-5  # a gigapascal counts in the time step

@@ -1,0 +1,197 @@
+"""Walls: exact surfaces, triangle meshes, motion, and the sums of what acts on them."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from conftest import by_id
+from warpcrete.axis import Arc, Axis, Line
+from warpcrete.scene import Bodies, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene, TimeStep
+
+RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
+MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
+K_WALL = MODULUS * math.pi * RADIUS
+SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
+
+
+def force_on_sphere(start, walls, position, contact=SMOOTH):
+    """Force that resting walls exert on a resting sphere, shape (3,)."""
+    scene = Scene(name="probe", duration=0, walls=walls, gravity=(0, 0, 0), contact=contact, time_step=TimeStep(fixed=1e-6),
+                  bodies=(Bodies(positions=[position], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    stepper = start(scene)
+    stepper.take(1)
+    return -stepper.state.wall_force.numpy().reshape(-1, 3).sum(0)
+
+
+def grid_plane(cells=6, width=0.012, skew=0.3):
+    """Triangulated z = 0, with triangles of different shapes."""
+    rng = np.random.default_rng(0)
+    n = cells + 1
+    x, y = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    points = np.stack([x, y, 0 * x], -1).astype(float) * width
+    points[1:-1, 1:-1, :2] += rng.uniform(-skew, skew, (cells - 1, cells - 1, 2)) * width
+    a = (x[:-1, :-1] * n + y[:-1, :-1]).ravel()
+    faces = np.concatenate([np.stack([a, a + n, a + n + 1], 1), np.stack([a, a + n + 1, a + 1], 1)])
+    return points.reshape(-1, 3) - [cells * width / 2, cells * width / 2, 0], faces
+
+
+@pytest.mark.parametrize("depth", [1e-5, 1e-3, 5e-3])
+def test_triangulated_plane_is_a_plane(start, depth):
+    vertices, faces = grid_plane()
+    wall = MeshWall(name="floor", vertices=vertices, faces=faces)
+    rng = np.random.default_rng(1)
+    places = [np.array([*rng.uniform(-0.015, 0.015, 2), RADIUS - depth]) for _ in range(12)]
+    places += [np.array([*vertices[k, :2], RADIUS - depth]) for k in (16, 17, 24)]  # over corners
+    places += [np.array([*(0.5 * (vertices[16] + vertices[17]))[:2], RADIUS - depth])]  # over an edge
+    for place in places:
+        force = force_on_sphere(start, (wall,), place)
+        assert force == pytest.approx([0, 0, K_WALL * depth], rel=1e-9, abs=1e-9 * K_WALL * depth)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, precision):
+    vertices, faces = grid_plane()
+    flat = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+    paths = []
+    for wall in (flat, MeshWall(name="floor", vertices=vertices, faces=faces)):
+        scene = Scene(name="roll", duration=1, walls=(wall,), contact=Contact(friction=0.3), time_step=TimeStep(fixed=5e-5),
+                      bodies=(Bodies(positions=[[-0.02, -0.013, RADIUS]], sizes=2 * RADIUS, density=DENSITY,
+                                     velocities=np.array([[0.5, 0.31, 0.0]])),))  # fmt: skip
+        stepper = start(scene, precision)
+        stepper.advance(0.08)
+        paths.append([by_id(stepper.state, f"body_{n}")[0].astype(float) for n in ("position", "velocity", "spin")])
+    for flat_value, mesh_value in zip(*paths):
+        error = np.abs(mesh_value - flat_value).max() / np.abs(flat_value).max()
+        assert error < (2e-5 if precision == "float32" else 1e-12)  # measured 4e-6 and 1e-15
+
+
+def test_convex_edge_and_corner_give_one_force_towards_the_centre(start):
+    box = trimesh.creation.box((0.06, 0.06, 0.06))
+    wall = MeshWall(name="box", vertices=box.vertices, faces=box.faces)
+    depth = 1e-3
+    for corner, direction in (((0.03, 0.03, 0.007), (1, 1, 0)), ((0.03, 0.03, 0.03), (1, 1, 1)), ((0.03, 0.004, 0.03), (1, 0, 1))):
+        n = np.array(direction) / np.linalg.norm(direction)
+        force = force_on_sphere(start, (wall,), np.array(corner) + (RADIUS - depth) * n)
+        assert force == pytest.approx(K_WALL * depth * n, rel=1e-7, abs=1e-9)
+
+
+def test_concave_corner_gives_both_forces(start):
+    box = trimesh.creation.box((0.06, 0.06, 0.06))
+    wall = MeshWall(name="box", vertices=box.vertices, faces=box.faces)
+    depth = 1e-3
+    at = 0.03 - RADIUS + depth
+    force = force_on_sphere(start, (wall,), np.array([at, at, 0.0]))
+    assert force == pytest.approx([-K_WALL * depth, -K_WALL * depth, 0], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("bend", [False, True])
+def test_faceted_pipe_pushes_like_the_round_one(start, bend):
+    pieces = (Arc(0.2, math.pi / 2, (1, 0, 0)),) if bend else (Line(0.3),)
+    axis = Axis((0, 0, 0), (0, 0, 1), pieces)
+    radius, depth, facets = 0.05, 2e-3, 64
+    vertices, faces = axis.tube(radius, facets)
+    mesh = MeshWall(name="pipe", vertices=vertices, faces=faces)
+    exact = PipeWall(name="pipe", axis=axis, radius=radius)
+    rng = np.random.default_rng(4)
+    point, _, normal, side = axis.frame(0.45 * axis.length)
+    sag = radius * (1 - math.cos(math.pi / facets)) + (0.2 + radius) * (0.5 * 0.0049 / 0.25) ** 2 * bend
+    for angle in rng.uniform(0, 2 * math.pi, 25):
+        outward = math.cos(angle) * normal[0] + math.sin(angle) * side[0]
+        place = point[0] + (radius - RADIUS + depth) * outward
+        a, b = force_on_sphere(start, (exact,), place), force_on_sphere(start, (mesh,), place)
+        assert a == pytest.approx(-K_WALL * depth * outward, rel=1e-9, abs=1e-9)
+        # One contact, its overlap deeper by no more than the facets' sag, its direction within a facet's turn.
+        assert np.linalg.norm(a) * 0.999 <= np.linalg.norm(b) <= K_WALL * (depth + 1.5 * sag)
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > math.cos(2 * math.pi / facets)
+
+
+def test_centre_pushed_through_a_mesh_is_pushed_back(start):
+    vertices, faces = grid_plane()
+    scene = Scene(name="press", duration=1, walls=(MeshWall(name="floor", vertices=vertices, faces=faces),), gravity=(0, 0, 0),
+                  contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
+                  bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY,
+                                 velocities=np.array([[0, 0, -math.sqrt(K_WALL / MASS) * 1.3 * RADIUS]])),))  # fmt: skip
+    stepper = start(scene)
+    lowest = 0.0
+    for _ in range(1300):
+        stepper.take(1)
+        lowest = min(lowest, by_id(stepper.state, "body_position")[0, 2])
+    assert lowest == pytest.approx(RADIUS - 1.3 * RADIUS, rel=1e-3)  # 0.3 radii below the floor
+    assert by_id(stepper.state, "body_position")[0, 2] > RADIUS
+    assert by_id(stepper.state, "body_velocity")[0, 2] == pytest.approx(math.sqrt(K_WALL / MASS) * 1.3 * RADIUS, rel=1e-3)
+
+
+def test_prescribed_translation_and_rotation_follow_the_ramp(start):
+    ramp, time = 0.02, 0.05
+    moving = PlaneWall(name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.3), ramp_time=ramp))
+    turning = PlaneWall(name="turner", point=(1, 0, 0), normal=(0, 0, 1),
+                        motion=Prescribed(spin=(0, -2.0, 0), pivot=(0, 0, 0), ramp_time=ramp, start_time=0.01))  # fmt: skip
+    scene = Scene(name="walls", duration=1, walls=(moving, turning), time_step=TimeStep(fixed=1e-4), gravity=(0, 0, 0),
+                  bodies=(Bodies(positions=[[5, 5, 5]], sizes=0.01),))  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(time)
+    now = stepper.time
+    position = stepper.state.wall_position.numpy().reshape(-1, 3)
+    assert position[0] == pytest.approx([0, 0, 0.3 * (now - ramp / 2)], abs=1e-12)
+    angle = 2.0 * (now - 0.01 - ramp / 2)
+    assert position[1] == pytest.approx([math.cos(angle), 0, math.sin(angle)], abs=1e-12)
+    assert stepper.state.wall_travel.numpy() == pytest.approx([0.3 * (now - ramp / 2), angle], rel=1e-12)
+
+
+def test_moving_mesh_keeps_its_contacts(start):
+    # A triangulated floor rises at 0.2 m/s and carries a sphere for many times its candidate skin.
+    vertices, faces = grid_plane()
+    floor = MeshWall(name="floor", vertices=vertices, faces=faces, motion=Prescribed(velocity=(0.0, 0.0, 0.2), ramp_time=0.05))
+    scene = Scene(name="lift", duration=1, walls=(floor,), contact=Contact(normal_damping_ratio=0.5), time_step=TimeStep(fixed=1e-4),
+                  bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(1.0)
+    lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
+    assert stepper.state.wall_position.numpy()[0, 2] > 10 * stepper.lists.mesh_skin
+    assert lift == pytest.approx(RADIUS - MASS * 9.81 / K_WALL, rel=1e-5)
+
+
+def test_driven_plate_comes_to_rest_on_what_carries_it(start):
+    load = 3.0
+    plate = PlaneWall(name="plate", point=(0, 0, 2 * RADIUS), normal=(0, 0, -1),
+                      motion=Driven(direction=(0, 0, -1), force=load, mass=0.05, damping=2.0))  # fmt: skip
+    floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+    scene = Scene(name="press", duration=1, walls=(floor, plate), gravity=(0, 0, 0), time_step=TimeStep(fixed=2e-5),
+                  bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(0.6)
+    sunk = 2 * RADIUS - stepper.state.wall_position.numpy()[1, 2]
+    assert sunk == pytest.approx(2 * load / K_WALL, rel=1e-4)
+    assert stepper.state.wall_travel.numpy()[1] == pytest.approx(sunk, rel=1e-12)
+    force = stepper.state.wall_force.numpy()
+    assert force[1] == pytest.approx([0, 0, load], rel=1e-4, abs=1e-9)
+    assert force[0] == pytest.approx([0, 0, -load], rel=1e-4, abs=1e-9)
+
+
+def test_wall_impulse_and_moment_are_those_of_the_forces(start):
+    # A sphere falls on a plane off its origin: impulse = change of momentum, moment = arm x force.
+    floor = PlaneWall(name="floor", point=(0.1, 0.2, 0), normal=(0, 0, 1))
+    scene = Scene(name="drop", duration=1, walls=(floor,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
+                  bodies=(Bodies(positions=[[0.3, 0.2, RADIUS]], sizes=2 * RADIUS, density=DENSITY, velocities=np.array([[0, 0, -0.5]])),))  # fmt: skip
+    stepper = start(scene)
+    stepper.advance(0.05)
+    impulse, angular = stepper.state.wall_impulse.numpy()[0], stepper.state.wall_angular_impulse.numpy()[0]
+    change = MASS * (by_id(stepper.state, "body_velocity")[0] - [0, 0, -0.5])
+    assert -impulse == pytest.approx(change, rel=1e-9, abs=1e-12)
+    assert angular == pytest.approx(np.cross([0.2, 0, 0], impulse), rel=1e-9, abs=1e-12)
+
+
+def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
+    from warpcrete.probes import body_sums, contact_sums
+
+    wall = PlaneWall(name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01))
+    scene = Scene(name="push", duration=1, walls=(wall,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=5e-6),
+                  bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    stepper = start(scene)
+    for _ in range(5):
+        stepper.advance(stepper.time + 0.004)
+        energy = body_sums(stepper.model, stepper.state).kinetic_energy
+        energy += contact_sums(stepper.model, stepper.state).elastic_energy
+        assert stepper.state.wall_work.numpy()[0] == pytest.approx(energy, rel=5e-3)
