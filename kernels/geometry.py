@@ -65,40 +65,60 @@ def axis_functions(scalar):
 
 @functools.cache
 def triangle_functions(scalar):
-    """Closest point on a triangle, in one precision (regions as in Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """Closest point on a triangle, in one precision.
+
+    Built on distances to the plane and to the edges, which stay exact to rounding on triangles that are
+    hundreds of times longer than wide (a straight pipe in an STL file); barycentric products do not.
+    """
     t = types(scalar)
+
+    @wp.func
+    def closest_on_edge(p: t.vec3, a: t.vec3, b: t.vec3):
+        """Closest point of the segment and where it lies: 0 at a, 1 between, 2 at b."""
+        along = b - a
+        part = wp.dot(p - a, along) / wp.dot(along, along)
+        if part <= scalar(0.0):
+            return a, wp.int32(0)
+        if part >= scalar(1.0):
+            return b, wp.int32(2)
+        return a + part * along, wp.int32(1)
+
+    @wp.func
+    def feature_of(edge: wp.int32, where: wp.int32):
+        if where == 1:
+            return 1 + edge
+        if where == 0:
+            return 4 + edge
+        return 4 + (edge + 1) % 3
 
     @wp.func
     def closest_on_triangle(p: t.vec3, a: t.vec3, b: t.vec3, c: t.vec3):
         """Closest point of triangle abc to p, and the feature (face, edge or corner) that holds it."""
         zero = scalar(0.0)
-        ab = b - a
-        ac = c - a
-        ap = p - a
-        d1 = wp.dot(ab, ap)
-        d2 = wp.dot(ac, ap)
-        if d1 <= zero and d2 <= zero:
-            return a, wp.int32(4)
-        bp = p - b
-        d3 = wp.dot(ab, bp)
-        d4 = wp.dot(ac, bp)
-        if d3 >= zero and d4 <= d3:
-            return b, wp.int32(5)
-        vc = d1 * d4 - d3 * d2
-        if vc <= zero and d1 >= zero and d3 <= zero:
-            return a + (d1 / (d1 - d3)) * ab, wp.int32(1)
-        cp = p - c
-        d5 = wp.dot(ab, cp)
-        d6 = wp.dot(ac, cp)
-        if d6 >= zero and d5 <= d6:
-            return c, wp.int32(6)
-        vb = d5 * d2 - d1 * d6
-        if vb <= zero and d2 >= zero and d6 <= zero:
-            return a + (d2 / (d2 - d6)) * ac, wp.int32(3)
-        va = d3 * d6 - d5 * d4
-        if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
-            return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b), wp.int32(2)
-        total = va + vb + vc
-        return a + ab * (vb / total) + ac * (vc / total), wp.int32(0)
+        n = wp.normalize(wp.cross(b - a, c - a))
+        outside_ab = wp.dot(wp.cross(n, b - a), p - a) < zero
+        outside_bc = wp.dot(wp.cross(n, c - b), p - b) < zero
+        outside_ca = wp.dot(wp.cross(n, a - c), p - c) < zero
+        point = p - wp.dot(p - a, n) * n
+        feature = wp.int32(0)
+        best = scalar(1.0e30)
+        if outside_ab:
+            near, where = closest_on_edge(p, a, b)
+            best = wp.length_sq(p - near)
+            point = near
+            feature = feature_of(0, where)
+        if outside_bc:
+            near, where = closest_on_edge(p, b, c)
+            if wp.length_sq(p - near) < best:
+                best = wp.length_sq(p - near)
+                point = near
+                feature = feature_of(1, where)
+        if outside_ca:
+            near, where = closest_on_edge(p, c, a)
+            if wp.length_sq(p - near) < best:
+                best = wp.length_sq(p - near)
+                point = near
+                feature = feature_of(2, where)
+        return point, feature
 
     return SimpleNamespace(closest_on_triangle=closest_on_triangle)

@@ -65,9 +65,8 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         sphere_body: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
         sphere_material: wp.array(dtype=wp.int32),
-        candidate_start: wp.array(dtype=wp.int32),
-        candidate_face: wp.array(dtype=wp.int32),
-        face_wall: wp.array(dtype=wp.int32),
+        slot_wall: wp.array2d(dtype=wp.int32),
+        slot_normal: wp.array2d(dtype=t.vec3),
         pair_start: wp.array(dtype=wp.int32),
         pair_other: wp.array(dtype=wp.int32),
         pair_bond: wp.array(dtype=wp.int32),
@@ -131,14 +130,15 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 ks = kn * p.shear_to_normal
                 sum_i += outer(n, kn, ks)
                 turn_i += turning(arm_i - radius_i * n, n, kn, ks, scalar(0.0), scalar(0.0))
-        if candidate_start[i + 1] > candidate_start[i]:
-            # Near a mesh: count one contact in any direction, and no more, without finding it.
-            w = face_wall[candidate_face[candidate_start[i]]]
-            p = contact_parameters[row + walls[w].material]
-            kn = damped(p, normal_stiffness(p, radius_i, radius_i))
-            sum_i += kn * wp.identity(n=3, dtype=scalar)
-            arm = wp.length(arm_i) + radius_i
-            turn_i += kn * arm * arm * wp.identity(n=3, dtype=scalar)
+        for s in range(analytic, slot_wall.shape[1]):
+            w = slot_wall[i, s]
+            if w >= 0:
+                n = slot_normal[i, s]
+                p = contact_parameters[row + walls[w].material]
+                kn = damped(p, normal_stiffness(p, radius_i, radius_i))
+                ks = kn * p.shear_to_normal
+                sum_i += outer(n, kn, ks)
+                turn_i += turning(arm_i + radius_i * n, n, kn, ks, scalar(0.0), scalar(0.0))
         translation[i] = translation[i] + sum_i
         rotation[i] = rotation[i] + turn_i
 

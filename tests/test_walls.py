@@ -107,6 +107,26 @@ def test_faceted_pipe_pushes_like_the_round_one(start, bend):
         assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > math.cos(2 * math.pi / facets)
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_long_thin_triangles_push_along_their_normal(start, precision):
+    # Two metres long, 5 mm wide: products of its coordinates lose all digits in single precision.
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(2.0),))
+    vertices, faces = axis.tube(0.05, 64)
+    wall = MeshWall(name="pipe", vertices=vertices, faces=faces)
+    rng = np.random.default_rng(2)
+    for angle, z in zip(rng.uniform(0, 2 * math.pi, 20), rng.uniform(0.1, 1.9, 20)):
+        outward = np.array([math.cos(angle), math.sin(angle), 0.0])
+        place = (0.05 - RADIUS + 1e-3) * outward + [0, 0, z]
+        scene = Scene(name="probe", duration=0, walls=(wall,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),
+                      bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+        stepper = start(scene, precision)
+        stepper.take(1)
+        force = -stepper.state.wall_force.numpy()[0]
+        size = np.linalg.norm(force)
+        assert abs(force[2]) < (1e-4 if precision == "float32" else 1e-12) * size
+        assert K_WALL * 1e-3 * 0.999 <= size <= K_WALL * (1e-3 + 7e-5)
+
+
 def test_centre_pushed_through_a_mesh_is_pushed_back(start):
     vertices, faces = grid_plane()
     scene = Scene(name="press", duration=1, walls=(MeshWall(name="floor", vertices=vertices, faces=faces),), gravity=(0, 0, 0),

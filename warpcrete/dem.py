@@ -136,7 +136,7 @@ class StableStep:
                 model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
                 model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
                 state.body_position, state.sphere_body, state.sphere_position, state.sphere_material,
-                state.candidate_start, state.candidate_face, model.face_wall, state.pair_start, state.pair_other,
+                state.slot_wall, state.slot_normal, state.pair_start, state.pair_other,
                 state.pair_bond, self._translation, self._rotation,
             ],
             device=device,
