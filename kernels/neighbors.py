@@ -1,6 +1,8 @@
 """Verlet lists on Warp's hash grid, history carried over exactly, and spatial re-sorting."""
 
 import functools
+from types import SimpleNamespace
+
 import warp as wp
 
 from .contacts import decode
@@ -13,7 +15,9 @@ def permute_kernel(dtype, columns: bool):
     if columns:
 
         @wp.kernel(module="unique", enable_backward=False)
-        def permute_rows(source: wp.array2d(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array2d(dtype=dtype)):
+        def permute_rows(
+            source: wp.array2d(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array2d(dtype=dtype)
+        ):
             i, c = wp.tid()
             target[i, c] = source[order[i], c]
 
@@ -42,7 +46,9 @@ def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
 
 
 @wp.kernel(enable_backward=False)
-def body_sphere_counts(order: wp.array(dtype=wp.int32), first: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)):
+def body_sphere_counts(
+    order: wp.array(dtype=wp.int32), first: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)
+):
     """Spheres of the body that comes to place i."""
     i = wp.tid()
     count[i] = first[order[i] + 1] - first[order[i]]
@@ -85,7 +91,10 @@ def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def cell_keys(
-        body_position: wp.array(dtype=t.vec3), cell: scalar, keys: wp.array(dtype=wp.int32), values: wp.array(dtype=wp.int32)
+        body_position: wp.array(dtype=t.vec3),
+        cell: scalar,
+        keys: wp.array(dtype=wp.int32),
+        values: wp.array(dtype=wp.int32),
     ):
         """Morton code of the body's cell, 10 bits a direction, wrapping beyond 1024 cells."""
         b = wp.tid()
@@ -205,12 +214,4 @@ def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
 
         return pairs
 
-    class Kernels:
-        pass
-
-    kernels = Kernels()
-    kernels.centres = centres
-    kernels.cell_keys = cell_keys
-    kernels.count = build(False)
-    kernels.fill = build(True)
-    return kernels
+    return SimpleNamespace(centres=centres, cell_keys=cell_keys, count=build(False), fill=build(True))

@@ -72,9 +72,7 @@ def probe_kernels(scalar, half: bool, friction: bool, bonds: bool):
         driven = wp.vec3d()
         group = body_group[b]
         if group > 0 and drive_axis[group, 1] > drive_axis[group, 0]:
-            offset, tangent = closest_on_axis(
-                segments, drive_axis[group, 0], drive_axis[group, 1], body_position[b]
-            )
+            offset, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], body_position[b])
             driven = wp.vec3d(drive_force[group] * tangent)
         for c in range(3):
             values[row, 2 + c] = mass * v[c]

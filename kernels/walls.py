@@ -158,13 +158,9 @@ def advance_kernel(scalar):
                 travel[w] = travel[w] + dt * speed
             position[w] = t.vec3(position_exact[w])
             velocity[w] = t.vec3(velocity_exact[w])
-            work[w] = work[w] - wp.float64(0.5) * dt * (
-                wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
-            )
+            work[w] = work[w] - wp.float64(0.5) * dt * (wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w])))
             if wall.kind == MESH and wall.motion != FIXED:
-                moved[w] = moved[w] + dt * (
-                    wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent
-                )
+                moved[w] = moved[w] + dt * (wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent)
                 if moved[w] > wp.float64(0.5) * mesh_skin:
                     flags[LATE] = 1
 

@@ -52,7 +52,9 @@ def scene(
     length: Annotated[float, "length of concrete in the pipe at the start [m]"] = 1.0,
     velocity: Annotated[float, "steady piston velocity [m/s]"] = 0.3,
     ramp: Annotated[float, "piston travel over which the velocity rises linearly from rest [m]"] = 0.3,
-    travel: Annotated[float | None, "piston travel at the end [m]; default: the elbow's arc, pi/2 x elbow_radius"] = None,
+    travel: Annotated[
+        float | None, "piston travel at the end [m]; default: the elbow's arc, pi/2 x elbow_radius"
+    ] = None,
     shapes: Annotated[str, "aggregates: spheres, reference (four clumps), or shape-F with shape factor F"] = "spheres",
     sizes: Annotated[str, "size distribution: gaussian, uniform, or a sieve curve 'mm:share,...' by mass"] = "gaussian",
     size_min: Annotated[float, "smallest aggregate [m]"] = 5e-3,
@@ -63,7 +65,9 @@ def scene(
     modulus: Annotated[float, "effective modulus of contacts [Pa]"] = 1e5,
     stiffness_ratio: Annotated[float, "normal over shear contact stiffness"] = 2.0,
     friction: Annotated[float, "friction coefficient between aggregates"] = 0.05,
-    wall_friction: Annotated[float | None, "friction coefficient on the pipe and the piston; default: as friction"] = None,
+    wall_friction: Annotated[
+        float | None, "friction coefficient on the pipe and the piston; default: as friction"
+    ] = None,
     normal_damping: Annotated[float, "normal dashpot, share of critical"] = 0.5,
     shear_damping: Annotated[float, "shear dashpot, share of critical"] = 0.0,
     dashpot: Annotated[str, "dashpot mode: full, no-tension, slip-cut, both"] = "full",
@@ -80,7 +84,9 @@ def scene(
     plug: Annotated[str, "front of the concrete: balls (bonded), plate (straight pipes), none"] = "balls",
     plug_pressure: Annotated[float, "pressure on the plug, against the flow [Pa]"] = 1e3,
     plug_ball: Annotated[float, "diameter of the plug's balls [m]"] = 10e-3,
-    solid_fraction: Annotated[float | None, "solid share of the packing; default: packed to the plug's pressure"] = None,
+    solid_fraction: Annotated[
+        float | None, "solid share of the packing; default: packed to the plug's pressure"
+    ] = None,
     gravity: Annotated[float, "acceleration of gravity [m/s2]"] = 9.81,
     wall: Annotated[str, "pipe wall: analytic, mesh, or the path of an STL file around the same axis"] = "analytic",
     wall_scale: Annotated[float, "factor from the units of the wall file to metres"] = 1.0,
@@ -163,7 +169,6 @@ def scene(
                     direction=tuple(-end_tangents[1]),
                     force=plug_pressure * area,
                     mass=density * area * 2 * plug_ball,
-                    damping=2e3 * area,
                 ),
                 drawn_radius=radius,
             )
@@ -231,7 +236,8 @@ def scene(
         time_step=TimeStep(fixed=time_step, safety=safety),
         sample_interval=sample_interval,
         seed=seed,
-        parameters=given | {"unit": unit, "wall": str(Path(wall).resolve()) if wall not in ("analytic", "mesh") else wall},
+        parameters=given
+        | {"unit": unit, "wall": str(Path(wall).resolve()) if wall not in ("analytic", "mesh") else wall},
         notes={
             "pressure_wall": "piston",
             "pressure_area": area,

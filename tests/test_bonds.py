@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-
 from conftest import by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
+
 from warpcrete.scene import Bonds, Contact
 
 AREA, INERTIA = math.pi * RADIUS**2, math.pi * RADIUS**4 / 4
@@ -25,7 +25,9 @@ def load(stepper):
 
 
 def strong(**changes):
-    return Bonds(**(dict(effective_modulus=2e5, stiffness_ratio=2.0, tensile_strength=1e12, cohesion=1e12, gap=1e-6) | changes))
+    return Bonds(
+        **(dict(effective_modulus=2e5, stiffness_ratio=2.0, tensile_strength=1e12, cohesion=1e12, gap=1e-6) | changes)
+    )
 
 
 def test_normal_vibration_has_the_bond_stiffness(start):
@@ -91,7 +93,9 @@ def test_breaks_in_tension_at_its_strength(start):
 def test_breaks_in_shear_with_friction_angle(start, compression):
     # Under tension the shear strength is lower, under compression higher: c - sigma tan(phi).
     cohesion, angle = 500.0, 40.0
-    stepper = bonded(start, strong(cohesion=cohesion, friction_angle=angle), velocity=(-0.02 if compression else 0.02, 0.3, 0.0))
+    stepper = bonded(
+        start, strong(cohesion=cohesion, friction_angle=angle), velocity=(-0.02 if compression else 0.02, 0.3, 0.0)
+    )
     tension, shear, history = broken(stepper)
     assert (tension, shear) == (0, 1)
     force = history[-1][0]
@@ -107,7 +111,9 @@ def test_bending_counts_by_the_moment_factor(start):
     spins = np.array([[0.0, 0, -8.0], [0.0, 0, 8.0]])
     limits = []
     for factor in (1.0, 0.5):
-        stepper = bonded(start, strong(tensile_strength=strength, moment_factor=factor), velocity=(0, 0, 0), spins=spins)
+        stepper = bonded(
+            start, strong(tensile_strength=strength, moment_factor=factor), velocity=(0, 0, 0), spins=spins
+        )
         tension, shear, history = broken(stepper)
         assert (tension, shear) == (1, 0)
         limits.append(np.linalg.norm(history[-1][1][:3]) * RADIUS / INERTIA)
@@ -147,8 +153,14 @@ def test_hydration_takes_the_share_asked_for(start):
 
     grid = np.stack(np.meshgrid(*[np.arange(12)] * 3), -1).reshape(-1, 3) * 0.0199 + rng.normal(0, 1e-5, (1728, 3))
     bonds = Bonds()
-    scene = Scene(name="block", duration=0, bodies=(Bodies(positions=grid, sizes=0.02),), bonds=bonds,
-                  hydration=Hydration(share=0.2), gravity=(0, 0, 0))  # fmt: skip
+    scene = Scene(
+        name="block",
+        duration=0,
+        bodies=(Bodies(positions=grid, sizes=0.02),),
+        bonds=bonds,
+        hydration=Hydration(share=0.2),
+        gravity=(0, 0, 0),
+    )
     stepper = start(scene)
     made = stepper.bond(bonds, 1)
     assert made == 3 * 11 * 12 * 12

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-
 from conftest import by_id, pair_history
+
+from warpcrete.axis import Axis, Line
 from warpcrete.model import build_model, find_device
 from warpcrete.packing import Fill, PipeContainer, pack
-from warpcrete.axis import Axis, Line
 from warpcrete.scene import Bodies, Bonds, Contact, PlaneWall, Scene, TimeStep
 from warpcrete.state import State
 from warpcrete.stepper import Stepper
@@ -26,10 +26,14 @@ def two_spheres(gap=0.0, velocity=(0.0, 0.0, 0.0), spins=None, contact=None, dt=
     positions = np.outer([-0.5, 0.5], n) * (2 * RADIUS + gap)
     velocities = np.outer([-0.5, 0.5], velocity)
     return Scene(
-        name="two", duration=1.0, gravity=NO_GRAVITY, contact=contact or Contact(normal_damping_ratio=0.0, friction=0.0),
+        name="two",
+        duration=1.0,
+        gravity=NO_GRAVITY,
+        contact=contact or Contact(normal_damping_ratio=0.0, friction=0.0),
         bodies=(Bodies(positions=positions, sizes=2 * RADIUS, density=DENSITY, velocities=velocities, spins=spins),),
-        time_step=TimeStep(fixed=dt), bonds=bonds,
-    )  # fmt: skip
+        time_step=TimeStep(fixed=dt),
+        bonds=bonds,
+    )
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.1, 0.5])
@@ -64,9 +68,10 @@ def test_collision_duration_gives_the_stiffness(start):
 
 def test_oblique_impact_conserves_momentum_and_angular_momentum(start):
     scene = two_spheres(
-        velocity=(-1.0, 0.7, 0.3), contact=Contact(friction=0.4, shear_damping_ratio=0.2),
+        velocity=(-1.0, 0.7, 0.3),
+        contact=Contact(friction=0.4, shear_damping_ratio=0.2),
         spins=np.array([[3.0, -20.0, 8.0], [1.0, 5.0, -40.0]]),
-    )  # fmt: skip
+    )
     stepper = start(scene)
 
     def totals():
@@ -87,7 +92,9 @@ def test_only_the_overlapped_part_of_the_first_step_loads_the_shear_spring(start
     dt, share = 1e-4, 0.25
     closing = 1e-3 / dt * 1e-2  # moves 1e-5 m in a step
     gap = (1 - share) * closing * dt
-    scene = two_spheres(gap=gap, velocity=(-closing, 0.02, 0.0), contact=Contact(friction=10.0, normal_damping_ratio=0), dt=dt)
+    scene = two_spheres(
+        gap=gap, velocity=(-closing, 0.02, 0.0), contact=Contact(friction=10.0, normal_damping_ratio=0), dt=dt
+    )
     stepper = start(scene)
     stepper.take(2)
     shear = np.linalg.norm(np.frombuffer(pair_history(stepper.state)[0, 1][0]))
@@ -130,10 +137,20 @@ def test_sliding_sphere_starts_to_roll(start, damping):
     mu, g, speed = 0.2, 9.81, 0.5
     rest = MASS * g / K_WALL
     scene = Scene(
-        name="roll", duration=1.0, contact=Contact(friction=mu, normal_damping_ratio=0.3, shear_damping_ratio=damping, dashpot="slip-cut"), time_step=TimeStep(fixed=2e-5),
+        name="roll",
+        duration=1.0,
+        contact=Contact(friction=mu, normal_damping_ratio=0.3, shear_damping_ratio=damping, dashpot="slip-cut"),
+        time_step=TimeStep(fixed=2e-5),
         walls=(PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1)),),
-        bodies=(Bodies(positions=[[0, 0, RADIUS - rest]], sizes=2 * RADIUS, density=DENSITY, velocities=np.array([[speed, 0, 0]])),),
-    )  # fmt: skip
+        bodies=(
+            Bodies(
+                positions=[[0, 0, RADIUS - rest]],
+                sizes=2 * RADIUS,
+                density=DENSITY,
+                velocities=np.array([[speed, 0, 0]]),
+            ),
+        ),
+    )
     stepper = start(scene)
     onset = 2 * speed / (7 * mu * g)
     if damping == 0:  # pure sliding friction
@@ -164,8 +181,15 @@ def test_shear_history_turns_with_the_pair(start, axis):
     rate = 40.0
     spin = np.array([0.0, 0.0, rate]) if axis == "across" else np.array([rate, 0.0, 0.0])
     # The second sphere's extra speed loads bond shear and bending.
-    stepper = start(two_spheres(velocity=(0.0, rate * 2 * RADIUS, 0.05) if axis == "across" else (0.0, 0.0, 0.05),
-                                spins=np.stack([spin, spin]), contact=contact, bonds=bonds, dt=2e-6))  # fmt: skip
+    stepper = start(
+        two_spheres(
+            velocity=(0.0, rate * 2 * RADIUS, 0.05) if axis == "across" else (0.0, 0.0, 0.05),
+            spins=np.stack([spin, spin]),
+            contact=contact,
+            bonds=bonds,
+            dt=2e-6,
+        )
+    )
     stepper.bond(bonds, 1)
     from warpcrete.probes import body_sums, contact_sums
 
@@ -193,9 +217,14 @@ def small_packing(device):
 
 def flowing_scene(fill):
     return Scene(
-        name="flow", duration=1.0, fill=fill, walls=fill.container.walls("wall")[:2], contact=Contact(friction=0.3),
-        bonds=Bonds(tensile_strength=2e3, cohesion=1e3, healing=True), gravity=(3.0, 0.0, -9.81),
-    )  # fmt: skip
+        name="flow",
+        duration=1.0,
+        fill=fill,
+        walls=fill.container.walls("wall")[:2],
+        contact=Contact(friction=0.3),
+        bonds=Bonds(tensile_strength=2e3, cohesion=1e3, healing=True),
+        gravity=(3.0, 0.0, -9.81),
+    )
 
 
 def test_history_survives_rebuild_and_sorting_bit_for_bit(device):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import trimesh
-
 from conftest import by_id
+
 from warpcrete.axis import Arc, Axis, Line
 from warpcrete.scene import Bodies, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene, TimeStep
 
@@ -18,8 +18,15 @@ SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
 
 def force_on_sphere(start, walls, position, contact=SMOOTH):
     """Force that resting walls exert on a resting sphere, shape (3,)."""
-    scene = Scene(name="probe", duration=0, walls=walls, gravity=(0, 0, 0), contact=contact, time_step=TimeStep(fixed=1e-6),
-                  bodies=(Bodies(positions=[position], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    scene = Scene(
+        name="probe",
+        duration=0,
+        walls=walls,
+        gravity=(0, 0, 0),
+        contact=contact,
+        time_step=TimeStep(fixed=1e-6),
+        bodies=(Bodies(positions=[position], sizes=2 * RADIUS, density=DENSITY),),
+    )
     stepper = start(scene)
     stepper.take(1)
     return -stepper.state.wall_force.numpy().reshape(-1, 3).sum(0)
@@ -56,9 +63,21 @@ def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, precis
     flat = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
     paths = []
     for wall in (flat, MeshWall(name="floor", vertices=vertices, faces=faces)):
-        scene = Scene(name="roll", duration=1, walls=(wall,), contact=Contact(friction=0.3), time_step=TimeStep(fixed=5e-5),
-                      bodies=(Bodies(positions=[[-0.02, -0.013, RADIUS]], sizes=2 * RADIUS, density=DENSITY,
-                                     velocities=np.array([[0.5, 0.31, 0.0]])),))  # fmt: skip
+        scene = Scene(
+            name="roll",
+            duration=1,
+            walls=(wall,),
+            contact=Contact(friction=0.3),
+            time_step=TimeStep(fixed=5e-5),
+            bodies=(
+                Bodies(
+                    positions=[[-0.02, -0.013, RADIUS]],
+                    sizes=2 * RADIUS,
+                    density=DENSITY,
+                    velocities=np.array([[0.5, 0.31, 0.0]]),
+                ),
+            ),
+        )
         stepper = start(scene, precision)
         stepper.advance(0.08)
         paths.append([by_id(stepper.state, f"body_{n}")[0].astype(float) for n in ("position", "velocity", "spin")])
@@ -71,7 +90,11 @@ def test_convex_edge_and_corner_give_one_force_towards_the_centre(start):
     box = trimesh.creation.box((0.06, 0.06, 0.06))
     wall = MeshWall(name="box", vertices=box.vertices, faces=box.faces)
     depth = 1e-3
-    for corner, direction in (((0.03, 0.03, 0.007), (1, 1, 0)), ((0.03, 0.03, 0.03), (1, 1, 1)), ((0.03, 0.004, 0.03), (1, 0, 1))):
+    for corner, direction in (
+        ((0.03, 0.03, 0.007), (1, 1, 0)),
+        ((0.03, 0.03, 0.03), (1, 1, 1)),
+        ((0.03, 0.004, 0.03), (1, 0, 1)),
+    ):
         n = np.array(direction) / np.linalg.norm(direction)
         force = force_on_sphere(start, (wall,), np.array(corner) + (RADIUS - depth) * n)
         assert force == pytest.approx(K_WALL * depth * n, rel=1e-7, abs=1e-9)
@@ -117,8 +140,15 @@ def test_long_thin_triangles_push_along_their_normal(start, precision):
     for angle, z in zip(rng.uniform(0, 2 * math.pi, 20), rng.uniform(0.1, 1.9, 20)):
         outward = np.array([math.cos(angle), math.sin(angle), 0.0])
         place = (0.05 - RADIUS + 1e-3) * outward + [0, 0, z]
-        scene = Scene(name="probe", duration=0, walls=(wall,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-6),
-                      bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+        scene = Scene(
+            name="probe",
+            duration=0,
+            walls=(wall,),
+            gravity=(0, 0, 0),
+            contact=SMOOTH,
+            time_step=TimeStep(fixed=1e-6),
+            bodies=(Bodies(positions=[place], sizes=2 * RADIUS, density=DENSITY),),
+        )
         stepper = start(scene, precision)
         stepper.take(1)
         force = -stepper.state.wall_force.numpy()[0]
@@ -129,10 +159,22 @@ def test_long_thin_triangles_push_along_their_normal(start, precision):
 
 def test_centre_pushed_through_a_mesh_is_pushed_back(start):
     vertices, faces = grid_plane()
-    scene = Scene(name="press", duration=1, walls=(MeshWall(name="floor", vertices=vertices, faces=faces),), gravity=(0, 0, 0),
-                  contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
-                  bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY,
-                                 velocities=np.array([[0, 0, -math.sqrt(K_WALL / MASS) * 1.3 * RADIUS]])),))  # fmt: skip
+    scene = Scene(
+        name="press",
+        duration=1,
+        walls=(MeshWall(name="floor", vertices=vertices, faces=faces),),
+        gravity=(0, 0, 0),
+        contact=SMOOTH,
+        time_step=TimeStep(fixed=1e-5),
+        bodies=(
+            Bodies(
+                positions=[[0.001, 0.002, RADIUS]],
+                sizes=2 * RADIUS,
+                density=DENSITY,
+                velocities=np.array([[0, 0, -math.sqrt(K_WALL / MASS) * 1.3 * RADIUS]]),
+            ),
+        ),
+    )
     stepper = start(scene)
     lowest = 0.0
     for _ in range(1300):
@@ -140,16 +182,30 @@ def test_centre_pushed_through_a_mesh_is_pushed_back(start):
         lowest = min(lowest, by_id(stepper.state, "body_position")[0, 2])
     assert lowest == pytest.approx(RADIUS - 1.3 * RADIUS, rel=1e-3)  # 0.3 radii below the floor
     assert by_id(stepper.state, "body_position")[0, 2] > RADIUS
-    assert by_id(stepper.state, "body_velocity")[0, 2] == pytest.approx(math.sqrt(K_WALL / MASS) * 1.3 * RADIUS, rel=1e-3)
+    assert by_id(stepper.state, "body_velocity")[0, 2] == pytest.approx(
+        math.sqrt(K_WALL / MASS) * 1.3 * RADIUS, rel=1e-3
+    )
 
 
 def test_prescribed_translation_and_rotation_follow_the_ramp(start):
     ramp, time = 0.02, 0.05
-    moving = PlaneWall(name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.3), ramp_time=ramp))
-    turning = PlaneWall(name="turner", point=(1, 0, 0), normal=(0, 0, 1),
-                        motion=Prescribed(spin=(0, -2.0, 0), pivot=(0, 0, 0), ramp_time=ramp, start_time=0.01))  # fmt: skip
-    scene = Scene(name="walls", duration=1, walls=(moving, turning), time_step=TimeStep(fixed=1e-4), gravity=(0, 0, 0),
-                  bodies=(Bodies(positions=[[5, 5, 5]], sizes=0.01),))  # fmt: skip
+    moving = PlaneWall(
+        name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.3), ramp_time=ramp)
+    )
+    turning = PlaneWall(
+        name="turner",
+        point=(1, 0, 0),
+        normal=(0, 0, 1),
+        motion=Prescribed(spin=(0, -2.0, 0), pivot=(0, 0, 0), ramp_time=ramp, start_time=0.01),
+    )
+    scene = Scene(
+        name="walls",
+        duration=1,
+        walls=(moving, turning),
+        time_step=TimeStep(fixed=1e-4),
+        gravity=(0, 0, 0),
+        bodies=(Bodies(positions=[[5, 5, 5]], sizes=0.01),),
+    )
     stepper = start(scene)
     stepper.advance(time)
     now = stepper.time
@@ -163,9 +219,17 @@ def test_prescribed_translation_and_rotation_follow_the_ramp(start):
 def test_moving_mesh_keeps_its_contacts(start):
     # A triangulated floor rises at 0.2 m/s and carries a sphere for many times its candidate skin.
     vertices, faces = grid_plane()
-    floor = MeshWall(name="floor", vertices=vertices, faces=faces, motion=Prescribed(velocity=(0.0, 0.0, 0.2), ramp_time=0.05))
-    scene = Scene(name="lift", duration=1, walls=(floor,), contact=Contact(normal_damping_ratio=0.5), time_step=TimeStep(fixed=1e-4),
-                  bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    floor = MeshWall(
+        name="floor", vertices=vertices, faces=faces, motion=Prescribed(velocity=(0.0, 0.0, 0.2), ramp_time=0.05)
+    )
+    scene = Scene(
+        name="lift",
+        duration=1,
+        walls=(floor,),
+        contact=Contact(normal_damping_ratio=0.5),
+        time_step=TimeStep(fixed=1e-4),
+        bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
+    )
     stepper = start(scene)
     stepper.advance(1.0)
     lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
@@ -175,11 +239,21 @@ def test_moving_mesh_keeps_its_contacts(start):
 
 def test_driven_plate_comes_to_rest_on_what_carries_it(start):
     load = 3.0
-    plate = PlaneWall(name="plate", point=(0, 0, 2 * RADIUS), normal=(0, 0, -1),
-                      motion=Driven(direction=(0, 0, -1), force=load, mass=0.05, damping=2.0))  # fmt: skip
+    plate = PlaneWall(
+        name="plate",
+        point=(0, 0, 2 * RADIUS),
+        normal=(0, 0, -1),
+        motion=Driven(direction=(0, 0, -1), force=load, mass=0.05, damping=2.0),
+    )
     floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
-    scene = Scene(name="press", duration=1, walls=(floor, plate), gravity=(0, 0, 0), time_step=TimeStep(fixed=2e-5),
-                  bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    scene = Scene(
+        name="press",
+        duration=1,
+        walls=(floor, plate),
+        gravity=(0, 0, 0),
+        time_step=TimeStep(fixed=2e-5),
+        bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
+    )
     stepper = start(scene)
     stepper.advance(0.6)
     sunk = 2 * RADIUS - stepper.state.wall_position.numpy()[1, 2]
@@ -193,8 +267,19 @@ def test_driven_plate_comes_to_rest_on_what_carries_it(start):
 def test_wall_impulse_and_moment_are_those_of_the_forces(start):
     # A sphere falls on a plane off its origin: impulse = change of momentum, moment = arm x force.
     floor = PlaneWall(name="floor", point=(0.1, 0.2, 0), normal=(0, 0, 1))
-    scene = Scene(name="drop", duration=1, walls=(floor,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=1e-5),
-                  bodies=(Bodies(positions=[[0.3, 0.2, RADIUS]], sizes=2 * RADIUS, density=DENSITY, velocities=np.array([[0, 0, -0.5]])),))  # fmt: skip
+    scene = Scene(
+        name="drop",
+        duration=1,
+        walls=(floor,),
+        gravity=(0, 0, 0),
+        contact=SMOOTH,
+        time_step=TimeStep(fixed=1e-5),
+        bodies=(
+            Bodies(
+                positions=[[0.3, 0.2, RADIUS]], sizes=2 * RADIUS, density=DENSITY, velocities=np.array([[0, 0, -0.5]])
+            ),
+        ),
+    )
     stepper = start(scene)
     stepper.advance(0.05)
     impulse, angular = stepper.state.wall_impulse.numpy()[0], stepper.state.wall_angular_impulse.numpy()[0]
@@ -206,9 +291,18 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start):
 def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
     from warpcrete.probes import body_sums, contact_sums
 
-    wall = PlaneWall(name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01))
-    scene = Scene(name="push", duration=1, walls=(wall,), gravity=(0, 0, 0), contact=SMOOTH, time_step=TimeStep(fixed=5e-6),
-                  bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),))  # fmt: skip
+    wall = PlaneWall(
+        name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01)
+    )
+    scene = Scene(
+        name="push",
+        duration=1,
+        walls=(wall,),
+        gravity=(0, 0, 0),
+        contact=SMOOTH,
+        time_step=TimeStep(fixed=5e-6),
+        bodies=(Bodies(positions=[[0, 0, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
+    )
     stepper = start(scene)
     for _ in range(5):
         stepper.advance(stepper.time + 0.004)

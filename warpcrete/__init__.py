@@ -1,7 +1,7 @@
 """warpcrete: particle simulation of fresh concrete being pumped, on GPU or CPU.
 
-    import warpcrete
-    run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
+import warpcrete
+run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
     "SceneError",
     "Simulation",
     "WarpcreteError",
-    "scenes",
+    "scenes",  # pyright: ignore[reportUnsupportedDunderAll]
 ]
 
 _LAZY = {"Simulation": "simulation", "Run": "simulation", "Scene": "scene"}

@@ -75,13 +75,13 @@ def view_run(run: Path) -> None:
 
 def _common_options() -> list[click.Parameter]:
     return [
-        click.Option(["--out"], type=click.Path(path_type=Path), help="run folder; must not exist  [default: runs/SCENE-NNN]"),
+        click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),
         click.Option(["--device"], help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
         click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
                      help="of positions and forces"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
-        click.Option(["--frames"], type=float, default=25.0, show_default=True, help="recorded frames a simulated second"),
+        click.Option(["--frames"], type=float, default=25.0, show_default=True, help="frames a simulated second"),
         click.Option(["--colour"], type=click.Choice(["speed", "size", "force"]), default="speed", show_default=True,
                      help="what colours the aggregates"),
         click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),

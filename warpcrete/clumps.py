@@ -154,7 +154,6 @@ def templates(name: str) -> tuple[ClumpTemplate, ...]:
             if isinstance(error, SceneError):
                 raise
     refuse("shapes", name, "must be one of " + ", ".join(TEMPLATE_SETS), "any factor from 1 to 20 may follow 'shape-'")
-    raise AssertionError
 
 
 def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> ClumpTemplate:
@@ -188,9 +187,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     candidates = np.argsort(-depth)[:4000]
     bare = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
-    covers = [
-        np.linalg.norm(points - points[c], axis=1) <= depth[c] + 0.25 * step for c in candidates
-    ]
+    covers = [np.linalg.norm(points - points[c], axis=1) <= depth[c] + 0.25 * step for c in candidates]
     for _ in range(spheres):
         gains = [int(np.count_nonzero(cover & bare)) for cover in covers]
         best = int(np.argmax(gains))

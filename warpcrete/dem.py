@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -24,7 +26,7 @@ class Stage:
 
     def __init__(self, kernel, dim: int, arguments: list, device) -> None:
         self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
-        self._command = None
+        self._command: Any = None
 
     def __call__(self) -> None:
         if self.dim == 0:
@@ -146,7 +148,8 @@ class StableStep:
             dim=state.body_count,
             inputs=[
                 model.contact_parameters, model.material_count, state.body_mass, state.body_inertia,
-                state.body_orientation, state.body_first, state.sphere_position, state.sphere_material, self._translation, self._rotation,
+                state.body_orientation, state.body_first, state.sphere_position, state.sphere_material,
+                self._translation, self._rotation,
                 self._smallest,
             ],
             device=device,
@@ -181,7 +184,16 @@ def reassign_bonds(model: Model, state: State, old: int, new: int, share: float,
     wp.launch(
         reassign,
         dim=state.sphere_count,
-        inputs=[old, new, share, seed & 0xFFFFFFFF, state.sphere_id, state.pair_start, state.pair_other, state.pair_bond],
+        inputs=[
+            old,
+            new,
+            share,
+            seed & 0xFFFFFFFF,
+            state.sphere_id,
+            state.pair_start,
+            state.pair_other,
+            state.pair_bond,
+        ],
         device=model.device,
     )
     return int(np.count_nonzero(_bonds(model, state) == new))

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from .scene import MeshWall, PipeWall, PlaneWall
+from .scene import MeshWall, PipeWall, PlaneWall, Prescribed
 from .simulation import Simulation
 from .state import State
 
@@ -103,15 +103,16 @@ def colour_limit(simulation: Simulation, colouring: str) -> float:
     if colouring == "size":
         return float(simulation.state.body_size.numpy().max(initial=0.0))
     if colouring == "speed":
-        speeds = [np.linalg.norm(w.motion.velocity) for w in simulation.scene.walls if hasattr(w.motion, "velocity")]
+        motions = [w.motion for w in simulation.scene.walls if isinstance(w.motion, Prescribed)]
+        speeds = [float(np.linalg.norm(motion.velocity)) for motion in motions]
         nominal = simulation.scene.notes.get("velocity", max(speeds, default=0.0))
         return 1.5 * float(nominal) if nominal else 1.0
     size = float(simulation.state.body_size.numpy().max(initial=0.0))
     return 0.05 * simulation.scene.contact.effective_modulus * size**2
 
 
-def view(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
-    """A place for the eye and the point to look at, both (3,) [m], that show the whole scene from one side."""
+def view(simulation: Simulation, distance: float) -> tuple[np.ndarray, np.ndarray]:
+    """A place for the eye and the point to look at, both (3,) [m]: from one side, at `distance` scene sizes."""
     axis = simulation.scene.notes.get("axis")
     if axis is not None:
         points, _ = axis.at(np.linspace(0, axis.length, 50))
@@ -120,7 +121,7 @@ def view(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = points.min(0), points.max(0)
     centre = 0.5 * (lower + upper)
     size = max(float(np.linalg.norm(upper - lower)), 0.1)
-    return centre + size * np.array([0.25, -1.15, 0.3]), centre
+    return centre + distance * size * np.array([0.2, -0.95, 0.24]), centre
 
 
 def state_extent(state: State) -> np.ndarray:

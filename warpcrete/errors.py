@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class CapacityError(WarpcreteError):
     """A list of fixed size was too short and could not be grown."""
 
 
-def refuse(field: str, value: Any, allowed: str, hint: str = "") -> None:
+def refuse(field: str, value: Any, allowed: str, hint: str = "") -> NoReturn:
     """Raise :class:`SceneError` for `field`."""
     raise SceneError(f"{field} = {value!r}: {allowed}" + (f"; {hint}" if hint else ""))
 

@@ -90,7 +90,6 @@ def find_device(name: str | None):
 
 def quiet_init() -> None:
     """Start Warp without its banner, its compile notes and, where there is no NVIDIA driver, its warning of that."""
-    wp.config.quiet = True
     wp.config.log_level = wp.LOG_ERROR
     try:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")

@@ -125,7 +125,10 @@ class NeighborLists:
         old_place = wp.zeros(spheres, dtype=wp.int32, device=device)
         new_place = wp.zeros(spheres, dtype=wp.int32, device=device)
         wp.launch(
-            sphere_order, dim=bodies, inputs=[order, state.body_first, first, old_place, state.sphere_body], device=device
+            sphere_order,
+            dim=bodies,
+            inputs=[order, state.body_first, first, old_place, state.sphere_body],
+            device=device,
         )
         wp.launch(invert, dim=spheres, inputs=[old_place, new_place], device=device)
         wp.copy(state.body_first, first)

@@ -186,7 +186,9 @@ def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-def draw(fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator) -> BodyTable:
+def draw(
+    fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
+) -> BodyTable:
     """Aggregates with a total of `fraction` times the container's volume, sown at well spread points."""
     wanted = fraction * container.volume
     sizes = np.empty(0)
@@ -324,5 +326,3 @@ def _resize(state: State, table: BodyTable, factor: float) -> None:
     position[:, :3] = centre + factor * (position[:, :3] - centre)
     position[:, 3] *= factor
     state.sphere_position.assign(position.astype(state.sphere_position.numpy().dtype))
-
-

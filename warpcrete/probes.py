@@ -95,7 +95,8 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
         inputs=[
             model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
             model.analytic_walls, model.segments, state.wall_position, state.wall_orientation, state.slot_shear,
-            state.body_position, state.sphere_body, state.sphere_id, state.sphere_position, state.sphere_material, state.pair_start, state.pair_other,
+            state.body_position, state.sphere_body, state.sphere_id, state.sphere_position,
+            state.sphere_material, state.pair_start, state.pair_other,
             state.pair_shear, state.pair_bond, state.pair_bond_force, state.pair_bond_moment, values,
         ],
         device=model.device,

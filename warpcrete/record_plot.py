@@ -33,7 +33,9 @@ def plot_pressure(runs: dict[str, Run] | Run, paper: dict[str, float] | None = N
         if "peak_travel" in paper:
             axes.plot(paper["peak_travel"], paper["peak"] / 1e3, "k+", markersize=10, label="peak, Zhan et al. 2019")
         elif "peak" in paper:
-            axes.axhline(paper["peak"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="maximum, Zhan et al. 2019")
+            axes.axhline(
+                paper["peak"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="maximum, Zhan et al. 2019"
+            )
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
     axes.set_xlim(0, float(np.max([r.series["travel"].max() for r in many.values()])) or 1)
     if len(many) > 1 or paper:

@@ -65,7 +65,9 @@ class RerunRecorder:
             if wall.motion is None:
                 self._log_pose(simulation, number, static=True)
         self._upper = colour_limit(simulation, self.colouring)
-        recording.log("pressure/piston", rr.SeriesLines(names="piston pressure [kPa]", colors=[215, 95, 30]), static=True)
+        recording.log(
+            "pressure/piston", rr.SeriesLines(names="piston pressure [kPa]", colors=[215, 95, 30]), static=True
+        )
         names = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
         for column, name in names.items():
             recording.log(f"energy/{column}", rr.SeriesLines(names=name), static=True)
@@ -134,7 +136,7 @@ class RerunRecorder:
     def _blueprint(self, simulation: Simulation):
         import rerun.blueprint as rrb
 
-        eye, target = view(simulation)
+        eye, target = view(simulation, 1.2)
         scene = rrb.Spatial3DView(
             name=f"Aggregates by {self.colouring}",
             origin="scene",

@@ -1,5 +1,8 @@
 """The run as a USD scene: one point instancer, one prototype a clump template, time samples, walls, a camera."""
 
+# pyright: reportAttributeAccessIssue=false
+# (the pxr modules fill themselves when they load)
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -79,7 +82,7 @@ class UsdRecorder:
             if not opaque:
                 self._pose(simulation, number, Usd.TimeCode.Default())
 
-        eye, target = view(simulation)
+        eye, target = view(simulation, 1.9)
         camera = UsdGeom.Camera.Define(stage, "/Run/Camera")
         look = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*target), Gf.Vec3d(0, 0, 1)).GetInverse()
         camera.AddTransformOp().Set(look)
@@ -109,9 +112,10 @@ class UsdRecorder:
         velocity = state.body_velocity.numpy()[order].astype(np.float32)
         self._instancer.CreateVelocitiesAttr().Set(Vt.Vec3fArray.FromNumpy(velocity), code)
         if state.body_count:
-            reach = state.body_size.numpy()[order] * np.array([t.extent for t in state.templates])[
-                state.body_template.numpy()[order]
-            ]
+            reach = (
+                state.body_size.numpy()[order]
+                * np.array([t.extent for t in state.templates])[state.body_template.numpy()[order]]
+            )
             lower, upper = (position - reach[:, None]).min(0), (position + reach[:, None]).max(0)
             extent = np.stack([lower, upper]).astype(np.float32)
             self._instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)

@@ -87,9 +87,7 @@ class Hydration:
 
     share: float
     """Of all bonded contacts, 0 to 1."""
-    bonds: Bonds = field(
-        default_factory=lambda: Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5)
-    )
+    bonds: Bonds = field(default_factory=lambda: Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
 
     def __post_init__(self) -> None:
         between("hydration share", self.share, 0, 1)

@@ -1,8 +1,8 @@
 """The spine: from a scene to a finished run. Read this file first.
 
-    simulation = Simulation(scenes.pipe(unit="vertical"))
-    run = simulation.run()
-    run.series["pressure"]
+simulation = Simulation(scenes.pipe(unit="vertical"))
+run = simulation.run()
+run.series["pressure"]
 """
 
 from __future__ import annotations

@@ -212,7 +212,9 @@ class State:
         self.reference_velocity = zeros(1, t.vec3)
         self.scale = array([1.0], scalar)
         clock = np.zeros(CLOCK)
-        modulus = max([model.scene.contact.effective_modulus, *(c.effective_modulus for c in model.scene.contacts.values())])
+        modulus = max(
+            [model.scene.contact.effective_modulus, *(c.effective_modulus for c in model.scene.contacts.values())]
+        )
         typical_force = modulus * (2 * max(self.largest_radius, 1e-12)) ** 2
         # 2^62 units hold a hundred thousand such forces; one unit is 5e-14 of one.
         clock[int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))

@@ -44,7 +44,7 @@ class Stepper:
         self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin, sort_every=sort_every)
         self.stable_step = StableStep(model, state)
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
-        self._graphs: dict[int, object] = {}
+        self._graphs: dict[int, wp.Graph] = {}
         self._since_estimate = math.inf
         self.rebuild()
 

@@ -1,0 +1,205 @@
+"""Clump templates, size distributions and packings."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import by_id
+
+from warpcrete import clumps
+from warpcrete.axis import Arc, Axis, Line
+from warpcrete.errors import SceneError
+from warpcrete.packing import Fill, MeshContainer, PipeContainer, pack
+from warpcrete.probes import body_sums
+from warpcrete.scene import Bodies, Scene, TimeStep
+from warpcrete.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.state import rotate
+
+
+def test_union_properties_of_two_overlapping_spheres():
+    # Exact: lens volume pi (2r - d)^2 (d^2 + 4 d r) / (12 d) for equal radii; its second moments by quadrature.
+    r, d = 1.0, 0.8
+    lens = math.pi * (2 * r - d) ** 2 * (d * d + 4 * d * r) / (12 * d)
+    volume, centroid, inertia = clumps.union_properties(np.array([[-d / 2, 0, 0], [d / 2, 0, 0]]), np.array([r, r]))
+    assert volume == pytest.approx(2 * 4 / 3 * math.pi - lens, rel=3e-5)
+    assert centroid == pytest.approx([0, 0, 0], abs=1e-12)
+    x = np.linspace(-d / 2 - r, d / 2 + r, 200_001)
+    section = r * r - (np.abs(x) - d / 2) ** 2  # radius squared of the cut at x
+    about_x = np.trapezoid(math.pi * section**2 / 2, x)
+    about_y = np.trapezoid(math.pi * section**2 / 4 + math.pi * section * x**2, x)
+    assert np.diag(inertia) == pytest.approx([about_x, about_y, about_y], rel=1e-4)  # measured 5e-5
+
+
+def test_single_sphere_is_exact():
+    template = clumps.sphere()
+    assert template.radii == pytest.approx([0.5]) and template.inertia == pytest.approx([0.1] * 3)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.5, 3.5, 4.5])
+def test_shape_factor_templates_have_it(factor):
+    template = clumps.elongated(factor)
+    assert template.shape_factor == pytest.approx(factor, rel=1e-9)
+    volume, centroid, _ = clumps.union_properties(template.offsets, template.radii)
+    assert volume == pytest.approx(math.pi / 6, rel=3e-4) and np.abs(centroid).max() < 1e-4
+
+
+def test_reference_templates_are_four_centred_clumps_in_principal_axes():
+    assert len(clumps.reference()) == 4
+    for template in clumps.reference():
+        assert len(template.radii) > 1
+        volume, centroid, inertia = clumps.union_properties(template.offsets, template.radii)
+        assert volume == pytest.approx(math.pi / 6, rel=3e-4)
+        assert np.abs(centroid).max() < 2e-4
+        assert np.abs(inertia - np.diag(np.diag(inertia))).max() < 2e-4 * inertia.max()
+        assert np.diag(inertia) / volume == pytest.approx(template.inertia, rel=1e-3)
+
+
+@pytest.mark.parametrize(("spheres", "tolerance"), [(8, 0.2), (40, 0.06)])
+def test_mesh_is_covered_with_the_wanted_number_of_spheres(spheres, tolerance):
+    box = trimesh.creation.box((0.03, 0.02, 0.015))
+    template = clumps.from_mesh(box, spheres)
+    assert len(template.radii) == spheres
+    volume, *_ = clumps.union_properties(template.offsets, template.radii)
+    assert volume == pytest.approx(math.pi / 6, rel=1e-3)
+    agreement = clumps.mesh_agreement(template, box)
+    assert agreement["inertia_error"] < tolerance  # measured 0.14 and 0.04
+
+
+def test_open_mesh_is_refused():
+    box = trimesh.creation.box()
+    box.update_faces(np.arange(len(box.faces)) > 0)
+    with pytest.raises(SceneError, match="open: 3 border edges"):
+        clumps.from_mesh(box, 5)
+
+
+def test_sieve_curve_is_met_by_mass():
+    curve = SieveCurve((4e-3, 8e-3, 16e-3, 32e-3), (0.0, 0.3, 0.55, 1.0))
+    sizes = curve.sample(400_000, np.random.default_rng(0))
+    mass = sizes**3
+    for opening, passing in zip(curve.openings, curve.passing):
+        # The coarse fraction is a few per mille of the numbers: its mass scatters by about 1 %.
+        assert mass[sizes <= opening].sum() / mass.sum() == pytest.approx(passing, abs=0.015)
+    middle = math.sqrt(16e-3 * 32e-3)
+    share = mass[(sizes > 16e-3) & (sizes <= middle)].sum() / mass[sizes > 16e-3].sum()
+    assert share == pytest.approx(0.5, abs=0.02)
+
+
+def test_gaussian_is_cut_and_uniform_is_flat():
+    random = np.random.default_rng(1)
+    sizes = Gaussian().sample(50_000, random)
+    assert sizes.min() >= 5e-3 and sizes.max() <= 20e-3
+    assert sizes.mean() == pytest.approx(12.5e-3, rel=0.005)
+    # Exact deviation of a normal cut at one deviation on both sides: 0.5396 sd.
+    assert sizes.std() == pytest.approx(0.53959 * 7.5e-3, rel=0.01)
+    flat = Uniform(1.0, 3.0).sample(50_000, random)
+    assert flat.std() == pytest.approx(2 / math.sqrt(12), rel=0.01)
+
+
+def test_free_tumbling_keeps_energy_and_angular_momentum(start):
+    # Three principal moments, spun near the unstable middle axis.
+    template = clumps.clump("slab", np.array([[1, 0.5, 0], [-1, 0.5, 0], [1, -0.5, 0], [-1, -0.5, 0]]), np.full(4, 0.6))
+    moments = template.inertia
+    assert moments[0] * 1.3 < moments[1] < moments[2] / 1.1
+    spin = np.array([[0.3, 20.0, 0.4]])
+    scene = Scene(
+        name="tumble",
+        duration=1,
+        gravity=(0, 0, 0),
+        time_step=TimeStep(fixed=2e-4),
+        bodies=(Bodies(positions=[[0, 0, 0]], sizes=0.02, template=template, spins=spin),),
+    )
+    stepper = start(scene)
+    body = stepper.state
+    momentum = body.body_angular_momentum.numpy()[0].copy()
+    energies, spins = [], []
+    for _ in range(100):
+        stepper.take(100)
+        energies.append(body_sums(stepper.model, body).kinetic_energy)
+        spins.append(rotate(by_id(body, "body_orientation"), by_id(body, "body_spin"), inverse=True)[0])
+    assert np.array_equal(body.body_angular_momentum.numpy()[0], momentum)
+    size_mass = float(body.body_mass.numpy()[0]) * 0.02**2
+    exact = 0.5 * size_mass * (moments * spin[0] ** 2).sum()
+    energies = np.array(energies)
+    # The probe sees spin and orientation half a step apart: an oscillation of order dt, no drift.
+    assert np.abs(energies / exact - 1).max() < 5e-3
+    assert abs(energies[50:].mean() / energies[:50].mean() - 1) < 5e-4
+    assert np.array(spins)[:, 1].min() < -10  # it did flip: the middle axis is unstable
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return Axis((0, 0, 0), (0, 0, 1), (Line(0.15),))
+
+
+def inside_pipe(table, axis, radius):
+    centres = np.linalg.norm(table.position[:, :2], axis=1)
+    return np.all(centres < radius) and table.position[:, 2].min() > 0 and table.position[:, 2].max() < axis.length
+
+
+@pytest.mark.parametrize("shapes", ["spheres", "reference"])
+def test_pipe_is_packed_to_a_solid_fraction(device, straight, shapes):
+    fill = Fill(container=PipeContainer(straight, 0.05, 0.15), solid_fraction=0.58, templates=clumps.templates(shapes))
+    table, report = pack(fill, device=device)
+    assert report.solid_fraction == pytest.approx(0.58, rel=0.003)  # half of the last aggregate
+    assert report.largest_overlap < 0.05 and inside_pipe(table, straight, 0.05)
+    assert report.bodies == len(table) and report.size_factor == 1.0
+    assert np.abs(table.velocity).max() == 0
+    if shapes == "reference":
+        share = np.bincount(table.template, weights=table.volume) / table.volume.sum()
+        assert np.abs(share - 0.25).max() < 0.12  # few hundred bodies of very unequal volume
+
+
+def test_pipe_is_packed_to_a_pressure(device, straight):
+    fill = Fill(container=PipeContainer(straight, 0.05, 0.15), pressure=2000.0)
+    table, report = pack(fill, device=device)
+    assert report.pressure == pytest.approx(2000.0, rel=0.05)
+    assert abs(report.size_factor - 1) < 0.03
+    assert 4.5 < report.coordination_number < 8 and inside_pipe(table, straight, 0.05)
+
+
+def test_elbow_is_packed(device):
+    axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.1, math.pi / 2, (1, 0, 0)),))
+    fill = Fill(
+        container=PipeContainer(axis, 0.04, axis.length), solid_fraction=0.55, templates=clumps.templates("spheres")
+    )
+    table, report = pack(fill, device=device)
+    ring = np.linalg.norm(table.position[:, [0, 2]] - [0.1, 0.0], axis=1) - 0.1
+    assert np.hypot(ring, table.position[:, 1]).max() < 0.04
+    assert report.largest_overlap < 0.05 and table.position[:, 2].min() > 0
+
+
+def test_closed_mesh_is_packed(device):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    fill = Fill(
+        container=MeshContainer(mesh),
+        solid_fraction=0.5,
+        templates=clumps.templates("spheres"),
+        sizes=Uniform(6e-3, 12e-3),
+    )
+    table, report = pack(fill, device=device)
+    assert report.solid_fraction == pytest.approx(0.5, rel=0.01)
+    assert (np.linalg.norm(table.position, axis=1) + table.size / 2).max() < 0.0505
+    assert report.largest_overlap < 0.05
+
+
+def test_packing_is_seeded(device, straight):
+    fill = Fill(container=PipeContainer(straight, 0.05, 0.06), solid_fraction=0.5)
+    first, again, other = (pack(fill, device=device, seed=seed)[0] for seed in (4, 4, 5))
+    assert np.array_equal(first.position, again.position)
+    assert len(first) != len(other) or not np.array_equal(first.position, other.position)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(solid_fraction=0.95), "solid_fraction = 0.95"),
+        (dict(solid_fraction=0.5, sizes=Uniform(0.05, 0.2)), "largest size = 0.2"),
+        (dict(solid_fraction=0.5, shares=(1.0,)), "shares"),
+        (dict(pressure=-5.0), "packing pressure = -5.0"),
+        (dict(), "solid_fraction = None"),
+    ],
+)
+def test_impossible_fills_are_refused(straight, changes, message):
+    with pytest.raises(SceneError, match=message):
+        Fill(container=PipeContainer(straight, 0.05, 0.15), **changes)

@@ -1,0 +1,380 @@
+"""The pumping scene from end to end: physics, run folder, recordings, command, errors."""
+
+import csv
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import trimesh
+
+import warpcrete
+from warpcrete import scenes
+from warpcrete.axis import Arc, Axis, Line
+from warpcrete.simulation import Simulation
+
+# A thin, short pipe that runs in seconds.
+SMALL = dict(
+    diameter=0.08, length=0.16, travel=0.08, ramp=0.03, elbow_radius=0.15, settle=0.5, size_min=6e-3, size_max=16e-3
+)
+
+
+def command(*arguments, timeout=300, **options):
+    return subprocess.run(
+        [sys.executable, "-c", "from warpcrete.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        **options,
+    )
+
+
+def small_options(**changes):
+    values = SMALL | changes
+    return [text for name, value in values.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A small recorded run by the command, with clumps."""
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    done = command(
+        "run",
+        "pipe",
+        *small_options(shapes="reference"),
+        "--out",
+        folder,
+        "--device",
+        "cpu",
+        "--network",
+        "--pipeline-vertical",
+        576,
+        "--pipeline-horizontal",
+        83,
+        "--quiet",
+    )
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+@pytest.mark.parametrize("unit", ["vertical", "horizontal", "elbow-up", "elbow-down"])
+def test_every_unit_pumps_and_balances_momentum(device, unit):
+    run = Simulation(scenes.pipe(unit=unit, **SMALL), device=device).run()
+    assert run.finished and len(run.series["time"]) > 20
+    for name, (passed, found) in sys.modules["warpcrete.scenes.pipe"].check(run).items():
+        assert passed, f"{name}: {found}"
+    assert run.result["momentum_balance_error"] < 1e-4  # measured below 1e-6
+    assert run.series["travel"][-1] == pytest.approx(0.08, abs=2e-4)
+    # The concrete moves with the piston: its front is as far along the pipe.
+    speed = np.linalg.norm(run.bodies.velocity, axis=1)
+    assert np.median(speed) == pytest.approx(0.3, rel=0.25)
+
+
+def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device):
+    # Without friction the piston carries the weight and the plug's pressure, and nothing else.
+    run = Simulation(
+        scenes.pipe(unit="vertical", friction=0.0, bonds=False, **SMALL | {"velocity": 0.02}), device=device
+    ).run()
+    area = math.pi * 0.04**2
+    exact = 1000.0 + run.bodies.mass.sum() * 9.81 / area
+    assert run.result["plateau_pressure"]["value"] == pytest.approx(exact, rel=2e-3)
+
+
+def test_mesh_pipe_agrees_with_analytic_pipe(device):
+    plateaus = []
+    for wall in ("analytic", "mesh"):
+        run = Simulation(scenes.pipe(unit="vertical", wall=wall, **SMALL), device=device).run()
+        plateaus.append(run.result["plateau_pressure"]["value"])
+    assert plateaus[1] == pytest.approx(plateaus[0], rel=0.03)
+
+
+def test_same_seed_same_bits(device):
+    runs = [Simulation(scenes.pipe(seed=seed, **SMALL | {"travel": 0.01}), device=device).run() for seed in (0, 0, 1)]
+    assert np.array_equal(runs[0].bodies.position, runs[1].bodies.position)
+    assert np.array_equal(runs[0].series["pressure"], runs[1].series["pressure"])
+    assert not np.array_equal(runs[0].series["pressure"], runs[2].series["pressure"])
+
+
+def test_plate_plug_and_no_bonds(device):
+    run = Simulation(scenes.pipe(plug="plate", bonds=False, **SMALL), device=device).run()
+    assert run.finished and run.result["momentum_balance_error"] < 1e-4
+    assert run.series["bonds"].max() == 0
+    plug = run.series["plug_force_z"]
+    # The plate rides the column's elastic wave, +-13 %; its mean over 1.5 waves is 3 % off.
+    assert plug[-16:].mean() == pytest.approx(1000 * math.pi * 0.04**2, rel=0.05)
+
+
+def test_hydration_stiffens(device):
+    short = SMALL | {"travel": 0.015, "length": 0.1}
+    plain = Simulation(scenes.pipe(**short), device=device).run()
+    hard = Simulation(scenes.pipe(hydration=0.2, hydration_modulus=1e7, **short), device=device).run()
+    loose = Simulation(scenes.pipe(bonds=False, **short | {"travel": 1e-4}), device=device).run()
+    concrete = hard.series["bonds"][0] - loose.series["bonds"][0]  # without the plug's own
+    assert hard.series["hydrated_bonds"][0] / concrete == pytest.approx(0.2, abs=0.03)
+    assert hard.series["hydrated_bonds"][-1] > 0.3 * hard.series["hydrated_bonds"][0]
+    assert hard.result["steps"] > 2 * plain.result["steps"]  # pays for its stiffness, plain does not
+
+
+def test_run_folder_is_complete(recorded):
+    folder, done = recorded
+    names = {"scene.json", "result.json", "series.csv", "pressure.png", "run.rrd", "scene.usdc"}
+    assert {p.name for p in folder.iterdir()} == names
+    with (folder / "series.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0][:3] == ["time [s]", "travel [m]", "pressure [Pa]"]
+    assert all(column.endswith("]") for column in rows[0])
+    pressure = np.array([float(row[2]) for row in rows[1:]])
+    result = json.loads((folder / "result.json").read_text())
+    assert result["peak_pressure"] == {"value": pytest.approx(pressure.max(), rel=1e-6), "unit": "Pa"}
+    assert result["finished"] and result["packing"]["solid_fraction"] > 0.55
+    estimate = result["pipeline_estimate"]
+    assert estimate["total_pressure"]["value"] == pytest.approx(
+        576 * estimate["vertical_per_metre"]["value"] + 83 * estimate["horizontal_per_metre"]["value"]
+    )
+    assert (folder / "pressure.png").read_bytes()[:4] == b"\x89PNG"
+    assert "check" in done.stdout and "FAIL" not in done.stdout
+
+
+def test_scene_json_repeats_the_run(recorded, tmp_path):
+    folder, _ = recorded
+    again = tmp_path / "again"
+    done = command("run", folder / "scene.json", "--out", again, "--no-usd", "--no-rerun", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert (again / "series.csv").read_text() == (folder / "series.csv").read_text()
+
+
+def test_usd_is_valid_and_shows_the_run(recorded):
+    from pxr import Gf, Usd, UsdGeom, UsdValidation
+
+    folder, _ = recorded
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in errors] == []
+    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
+    series = list(csv.reader((folder / "series.csv").open()))
+    end = float(series[-1][0]) * stage.GetTimeCodesPerSecond()
+    assert stage.GetEndTimeCode() == pytest.approx(end, rel=1e-6)
+    times = instancer.GetPositionsAttr().GetTimeSamples()
+    assert len(times) >= 10
+    bodies = json.loads((folder / "result.json").read_text())["bodies"]
+    first, last = (np.array(instancer.GetPositionsAttr().Get(t)) for t in (times[0], times[-1]))
+    assert len(first) == bodies and np.median(last[:, 2] - first[:, 2]) > 0.04
+    assert len(instancer.GetPrototypesRel().GetTargets()) == 5  # four clumps and the plug's ball
+    # The camera sees the middle of the concrete.
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/Run/Camera")).GetCamera(times[0])
+    view = camera.frustum
+    for point in (first.mean(0), first.min(0), first.max(0)):
+        assert view.Intersects(Gf.Vec3d(*map(float, point)))
+
+
+def test_recording_holds_every_frame(recorded):
+    folder, _ = recorded
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", "-vv", str(folder / "run.rrd")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    for entity in (
+        "/scene/aggregates",
+        "/scene/walls/pipe",
+        "/scene/walls/piston",
+        "/scene/network/contacts",
+        "/scene/network/bonds",
+        "/pressure/piston",
+        "/energy/kinetic_energy",
+    ):
+        assert entity in done.stdout, entity
+    verified = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert verified.returncode == 0, verified.stderr
+
+
+def open_tube(path, hole: bool):
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.4),))
+    vertices, faces = axis.tube(0.04, 32)
+    if hole:
+        faces = np.delete(faces, [5, 6], axis=0)
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    return path
+
+
+def test_pipe_from_an_stl_file(tmp_path, device):
+    path = open_tube(tmp_path / "pipe.stl", hole=False)
+    run = Simulation(scenes.pipe(wall=str(path), **SMALL | {"travel": 0.02}), device=device).run()
+    assert run.finished and run.result["momentum_balance_error"] < 1e-4
+    thick = trimesh.creation.annulus(r_min=0.04, r_max=0.045, height=0.5, sections=64)
+    thick.apply_translation([0, 0, 0.2])
+    thick.apply_scale(1000)
+    thick.export(tmp_path / "thick.stl")
+    scenes.pipe(wall=str(tmp_path / "thick.stl"), wall_scale=0.001, **SMALL)
+    with pytest.raises(warpcrete.SceneError, match="does not enclose a bore"):
+        scenes.pipe(wall=str(tmp_path / "thick.stl"), **SMALL)
+
+
+BAD = [
+    (["--diameter", "-0.1"], "diameter = -0.1"),
+    (["--diameter", "nan"], "diameter = nan"),
+    (["--size-max", "0.2"], "size_max = 0.2"),
+    (["--size-min", "-1"], "size_min = -1.0"),
+    (["--unit", "sideways"], "unit = 'sideways'"),
+    (["--velocity", "0"], "velocity = 0.0"),
+    (["--friction", "-1"], "friction = -1.0"),
+    (["--shapes", "cubes"], "shapes = 'cubes'"),
+    (["--sizes", "5:0,20"], "sizes = '5:0,20'"),
+    (["--wall", "missing.stl"], "wall = 'missing.stl'"),
+    (["--hydration", "1.5"], "hydration"),
+    (["--time-step", "0.01"], "time_step = 0.01"),
+    (["--unit", "elbow-up", "--travel", "2"], "travel = 2.0"),
+    (["--solid-fraction", "0.99"], "solid_fraction = 0.99"),
+    (["--device", "tpu"], "device = 'tpu'"),
+    (["--frames", "0"], "frames = 0.0"),
+    (["--diameter", "wide"], "diameter"),
+    (["--no-such-option"], "no-such-option"),
+    (["--seed", "-3"], "seed = -3"),
+    (["--elbow-radius", "0.03", "--unit", "C", "--travel", "0.01"], "elbow_radius = 0.03"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BAD, ids=[" ".join(b[0]) for b in BAD])
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, capfd):
+    # In this process, to spare twenty interpreter starts.
+    from warpcrete.cli import main
+
+    folder = tmp_path / "run"
+    here = os.getcwd()
+    argv = ["warpcrete", "run", "pipe", *small_options(), "--out", str(folder), "--quiet", *options]
+    os.chdir(tmp_path)
+    try:
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stop:
+            patch.setattr(sys, "argv", argv)
+            main()
+    finally:
+        os.chdir(here)
+    assert stop.value.code == 2
+    lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("note:")]
+    assert len(lines) == 1 and lines[0].startswith("error: ") and words in lines[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_files_and_folders(tmp_path):
+    hole = open_tube(tmp_path / "hole.stl", hole=True)
+    garbage = tmp_path / "garbage.stl"
+    garbage.write_bytes(os.urandom(500))
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    before = sorted(tmp_path.iterdir())
+    for options, words in (
+        (["--wall", hole, "--out", tmp_path / "run"], "is open"),
+        (["--wall", garbage, "--out", tmp_path / "run"], "garbage.stl"),
+        (["--out", taken], "exists already"),
+    ):
+        done = command("run", "pipe", *small_options(), *options, "--quiet")
+        lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
+        assert done.returncode == 2 and len(lines) == 1 and words in lines[0], done.stderr
+    for target in ("nothing", tmp_path / "scene.json"):
+        done = command("run", target)
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_no_gpu_where_one_is_asked_for(tmp_path):
+    import warp as wp
+
+    if wp.is_cuda_available():
+        pytest.skip("this machine has a GPU, so asking for one is no error")
+    done = command("run", "pipe", *small_options(), "--device", "cuda", "--out", tmp_path / "run")
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
+    assert done.returncode == 2 and len(lines) == 1 and "device = 'cuda': no usable CUDA GPU" in lines[0]
+    assert not (tmp_path / "run").exists()
+
+
+def test_ctrl_c_keeps_what_was_written(tmp_path):
+    folder = tmp_path / "run"
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "from warpcrete.cli import main; main()",
+            "run",
+            "pipe",
+            *small_options(travel=2.0),
+            "--out",
+            str(folder),
+            "--device",
+            "cpu",
+            "--quiet",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        table = folder / "series.csv"
+        if table.exists() and len(table.read_text().splitlines()) > 5:
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "interrupted" in output and "Traceback" not in errors
+    result = json.loads((folder / "result.json").read_text())
+    assert result["finished"] is False and result["steps"] > 0
+    from pxr import Usd
+
+    assert Usd.Stage.Open(str(folder / "scene.usdc")).GetEndTimeCode() > 0
+    assert (folder / "pressure.png").exists() and (folder / "run.rrd").stat().st_size > 1000
+    checked = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")], capture_output=True
+    )
+    assert checked.returncode == 0
+
+
+def test_live_recording_reaches_a_running_viewer(tmp_path):
+    # A headless server stands for the viewer: the recording arrives over the network.
+    server = subprocess.Popen(
+        [sys.executable, "-m", "rerun", "--serve-grpc", "--port", "9899"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        time.sleep(3)
+        url = "rerun+http://127.0.0.1:9899/proxy"
+        done = command("run", "pipe", *small_options(travel=0.005), "--out", tmp_path / "run", "--live", url, "--quiet")
+        assert done.returncode == 0, done.stderr
+        saved = tmp_path / "live.rrd"
+        fetched = subprocess.Popen(
+            [sys.executable, "-m", "rerun", url, "--save", str(saved)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and (not saved.exists() or saved.stat().st_size < 20_000):
+            time.sleep(0.5)
+        fetched.terminate()
+        fetched.wait(10)
+        assert saved.stat().st_size > 20_000
+    finally:
+        server.terminate()
+        server.wait(10)
+
+
+def test_elbow_axis_goes_through_its_pieces():
+    axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.5, math.pi / 2, (1, 0, 0)), Line(0.3)))
+    points, tangents = axis.at([0.0, 0.5 * math.pi / 4, 0.5 * math.pi / 2, axis.length])
+    assert points[1] == pytest.approx([0.5 * (1 - math.sqrt(0.5)), 0, 0.5 * math.sqrt(0.5)])
+    assert points[2] == pytest.approx([0.5, 0, 0.5]) and points[3] == pytest.approx([0.8, 0, 0.5])
+    assert tangents[3] == pytest.approx([1, 0, 0], abs=1e-12)
