@@ -38,19 +38,20 @@ def start(device):
 
 
 def pair_history(state) -> dict:
-    """Contact history by permanent sphere numbers (low, high): shear, bond kind, bond force and moment."""
+    """Contact history by permanent sphere numbers (low, high): shear (with friction), bond kind, force, moment."""
     start, other = state.pair_start.numpy(), state.pair_other.numpy()
     ids = state.sphere_id.numpy()
-    arrays = [state.pair_shear.numpy(), state.pair_bond.numpy(), state.pair_bond_force.numpy()]
-    arrays.append(state.pair_bond_moment.numpy())
+    features = state.model.features
+    arrays = [state.pair_shear.numpy()] if features.friction else []
+    if features.bonds:
+        arrays += [a.numpy() for a in (state.pair_bond, state.pair_bond_force, state.pair_bond_moment)]
     result = {}
     for i in range(state.sphere_count):
         for k in range(start[i], start[i + 1]):
             j = other[k] if other[k] >= 0 else -1 - other[k]
             key = (min(ids[i], ids[j]), max(ids[i], ids[j]))
             assert (other[k] >= 0) == (ids[i] < ids[j])
-            # Features that a scene does not need have one-element arrays.
-            value = tuple(a[k].tobytes() if len(a) > k else b"" for a in arrays)
+            value = tuple(a[k].tobytes() for a in arrays)
             if key in result:
                 assert result[key] == value, "both copies of a full list hold the same bits"
             result[key] = value

@@ -194,7 +194,7 @@ def _run(name: str, module, parameters: dict[str, Any], *, out, device, precisio
         precision=precision,
         recorders=recorders,
         frame_interval=1.0 / frames,
-        progress=None if quiet else progress,
+        progress=False if quiet else progress,
     )
     for line in scene.notes.get("simplified", ()):
         click.echo(f"note: {line}", err=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .simulation import Run, Simulation
+from .state import rotate
 
 
 def plot_pressure(runs: dict[str, Run] | Run, paper: dict[str, float] | None = None):
@@ -41,6 +42,45 @@ def plot_pressure(runs: dict[str, Run] | Run, paper: dict[str, float] | None = N
     if len(many) > 1 or paper:
         axes.legend(frameon=False, fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def plot_aggregates(runs: dict[str, Run] | Run, vertical: int = 2, across: int = 0):
+    """Matplotlib figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
+
+    Every sphere of every clump is drawn, the near ones last; `vertical` and `across` are the drawn axes.
+    """
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.figure import Figure
+
+    many = runs if isinstance(runs, dict) else {"": runs}
+    figure = Figure(figsize=(2.6 * len(many) + 1.2, 6), layout="constrained")
+    all_axes = figure.subplots(1, len(many), sharex=True, sharey=True, squeeze=False)[0]
+    speeds = [np.linalg.norm(run.bodies.velocity, axis=1) for run in many.values()]
+    upper = 1.2 * max(float(np.median(s)) for s in speeds) or 1.0
+    drawn = None
+    for axes, (name, run), speed in zip(all_axes, many.items(), speeds, strict=True):
+        centres, diameters, values = [], [], []
+        for number, template in enumerate(run.bodies.templates):
+            chosen = run.bodies.template == number
+            size, q = run.bodies.size[chosen], run.bodies.orientation[chosen]
+            for offset, radius in zip(template.offsets, template.radii, strict=True):
+                centres.append(run.bodies.position[chosen] + rotate(q, size[:, None] * offset))
+                diameters.append(2 * radius * size)
+                values.append(speed[chosen])
+        place, width, value = (np.concatenate(part) for part in (centres, diameters, values))
+        depth = 3 - vertical - across
+        order = np.argsort(-place[:, depth])
+        drawn = EllipseCollection(
+            width[order], width[order], np.zeros(len(order)), units="xy", offsets=place[order][:, [across, vertical]],
+            offset_transform=axes.transData, array=value[order], cmap="viridis", clim=(0, upper),
+            edgecolors="black", linewidths=0.15,
+        )  # fmt: skip
+        axes.add_collection(drawn)
+        axes.set(aspect="equal", title=name, xlabel=f"{'xyz'[across]} [m]")
+        axes.autoscale_view()
+    all_axes[0].set_ylabel(f"{'xyz'[vertical]} [m]")
+    figure.colorbar(drawn, ax=list(all_axes), label="speed [m/s]", shrink=0.6)
     return figure
 
 

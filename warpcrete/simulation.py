@@ -23,6 +23,7 @@ from .kernels.walls import FIXED, PRESCRIBED
 from .model import build_model, find_device
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
+from .progress import ProgressBar
 from .scene import PlaneWall, Scene
 from .state import BodyTable, State, placed_bodies, rotate
 from .stepper import Stepper
@@ -90,7 +91,7 @@ class Simulation:
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
     `float32` or `float64`; `recorders`; `frame_interval` simulated seconds between recorded frames;
-    `progress` a callback. Raises :class:`SceneError`, :class:`DeviceError`; a run may raise
+    `progress` True for a bar, or a callback. Raises :class:`SceneError`, :class:`DeviceError`; a run may raise
     :class:`InstabilityError`.
     """
 
@@ -102,7 +103,7 @@ class Simulation:
         precision: str = "float32",
         recorders: Sequence[Recorder] = (),
         frame_interval: float = 0.04,
-        progress: Progress | None = None,
+        progress: Progress | bool = False,
     ) -> None:
         self.scene = scene
         self.device = find_device(device)
@@ -113,6 +114,8 @@ class Simulation:
         self.packing: PackingReport | None = None
         self.rows: list[dict[str, float]] = []
         self.stop_requested = False
+        if progress is True:
+            progress = ProgressBar()
         self._progress = progress or (lambda phase, share, figures: None)
         self._last_impulse: np.ndarray | None = None
         self._spent: dict[str, float] = {}
@@ -179,6 +182,8 @@ class Simulation:
             run = self._result(finished)
             for recorder in begun:
                 recorder.finish(self, run)
+            if isinstance(self._progress, ProgressBar):
+                self._progress.close()
         return run
 
     def _loop(self, started: float) -> bool:

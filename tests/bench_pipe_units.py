@@ -1,0 +1,101 @@
+"""The paper's four pipe units, ours beside the published figures: a table, and a figure.
+
+    python tests/bench_pipe_units.py --device cuda --out units      # clumps on a GPU, about half a minute
+    python tests/bench_pipe_units.py --device cpu --shapes spheres  # about a minute and a half a unit
+
+Prints device, sizes, repeats (seeds), the Markdown table of the README, and what each run took.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from warpcrete import scenes
+from warpcrete.simulation import Run, Simulation
+
+PAPER = {unit: scenes.pipe(unit=unit).notes["paper"] for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")}
+LETTER = dict(zip(PAPER, "ABCD"))
+
+
+def measure(unit: str, shapes: str, device: str, seed: int) -> tuple[Run, float]:
+    """One run and the time it took, from the scene to the result [s]."""
+    begun = time.perf_counter()
+    run = Simulation(scenes.pipe(unit=unit, shapes=shapes, seed=seed), device=device).run()
+    return run, time.perf_counter() - begun
+
+
+def beside(ours: float, paper: float | None) -> str:
+    """Ours in kPa, the paper's and the ratio."""
+    return f"{ours / 1e3:.1f} | {paper / 1e3:.2f} | {ours / paper:.2f}" if paper else f"{ours / 1e3:.1f} | - | -"
+
+
+def main() -> None:
+    """Run, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--shapes", default="reference")
+    parser.add_argument("--units", nargs="*", default=list(PAPER))
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="folder for units.json and units.png")
+    arguments = parser.parse_args()
+    print("| unit | peak, ours [kPa] | paper | ratio | plateau, ours [kPa] | paper | ratio | peak at [m] | time [s] |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    runs: dict[str, Run] = {}
+    rows = []
+    for unit in arguments.units:
+        for seed in range(arguments.seeds):
+            run, took = measure(unit, arguments.shapes, arguments.device, seed)
+            result = run.result
+            peak, plateau = result["peak_pressure"]["value"], result["plateau_pressure"]["value"]
+            at = result["peak_travel"]["value"]
+            paper = PAPER[unit]
+            print(
+                f"| {LETTER[unit]} {unit}{f', seed {seed}' if seed else ''} | {beside(peak, paper.get('peak'))} | "
+                f"{beside(plateau, paper.get('plateau'))} | {at:.3f} | {took:.0f} |",
+                flush=True,
+            )
+            runs.setdefault(f"{LETTER[unit]} {unit}", run)
+            columns = {name: run.series[name].tolist() for name in ("time", "travel", "pressure")}
+            rows.append(dict(unit=unit, seed=seed, took=took, result=result, series=columns))
+    last = rows[-1]["result"]
+    print(
+        f"\ndevice: {last['provenance']['device_name']}; {last['bodies']} bodies, {last['spheres']} spheres; "
+        f"repeats: {arguments.seeds} seed(s)"
+    )
+    if arguments.out:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / "units.json").write_text(json.dumps(rows, default=float))
+        figure(rows).savefig(arguments.out / "units.png", dpi=110)
+
+
+def figure(rows: list[dict]):
+    """Pressure against travel of all units, with the figures that the paper's text gives."""
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(7.5, 4.4), layout="constrained")
+    axes = drawing.add_subplot()
+    for row in rows:
+        if row["seed"]:
+            continue
+        (line,) = axes.plot(
+            row["series"]["travel"],
+            np.array(row["series"]["pressure"]) / 1e3,
+            label=f"{LETTER[row['unit']]} {row['unit']}",
+        )
+        paper = PAPER[row["unit"]]
+        if "peak_travel" in paper:
+            axes.plot(paper["peak_travel"], paper["peak"] / 1e3, "+", color=line.get_color(), markersize=11, mew=2)
+            axes.axhline(paper["plateau"] / 1e3, color=line.get_color(), linestyle=":", linewidth=1)
+    axes.plot([], [], "k+", markersize=9, label="peak in the paper's text")
+    axes.plot([], [], "k:", linewidth=1, label="plateau in the paper's text")
+    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8, ncols=2)
+    return drawing
+
+
+if __name__ == "__main__":
+    main()
