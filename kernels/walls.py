@@ -146,7 +146,7 @@ def advance_kernel(scalar):
                     travel[w] = gone * wp.length(wall.velocity)
                 else:
                     travel[w] = gone * wp.length(wall.spin) * arm
-            elif wall.motion == DRIVEN and now >= wall.start_time:
+            elif wall.motion == DRIVEN and now >= wp.float64(0.0):
                 direction = wp.normalize(wall.velocity)
                 speed = wp.dot(velocity_exact[w], direction)
                 push = wall.drive_force + wp.dot(f, direction)

@@ -55,7 +55,11 @@ def scene(
     travel: Annotated[
         float | None, "piston travel at the end [m]; default: the elbow's arc, pi/2 x elbow_radius"
     ] = None,
-    shapes: Annotated[str, "aggregates: spheres, reference (four clumps), or shape-F with shape factor F"] = "spheres",
+    shapes: Annotated[
+        str, "aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed meshes"
+    ] = "spheres",
+    shape_spheres: Annotated[int, "spheres that cover each mesh of shapes"] = 10,
+    shares: Annotated[str | None, "volume share of each shape, as '2,1,1,1'; default: equal"] = None,
     sizes: Annotated[str, "size distribution: gaussian, uniform, or a sieve curve 'mm:share,...' by mass"] = "gaussian",
     size_min: Annotated[float, "smallest aggregate [m]"] = 5e-3,
     size_max: Annotated[float, "largest aggregate [m]"] = 20e-3,
@@ -77,6 +81,7 @@ def scene(
     tensile_strength: Annotated[float, "tensile strength of bonds [Pa]"] = 10.0,
     cohesion: Annotated[float, "cohesion of bonds [Pa]"] = 5.0,
     friction_angle: Annotated[float, "friction angle of bonds [degrees]"] = 30.0,
+    bond_gap: Annotated[float, "largest gap across which bonds are made [m]"] = 0.0,
     healing: Annotated[bool, "new contacts bond when they touch"] = False,
     hydration: Annotated[float, "share of the bonds that is hydrated, 0 to 1"] = 0.0,
     hydration_modulus: Annotated[float, "effective modulus of hydrated bonds [Pa]"] = 1e9,
@@ -191,7 +196,7 @@ def scene(
         duration = math.sqrt(2 * travel * ramp_time / velocity)
     else:
         duration = ramp_time + (travel - ramp) / velocity
-    template_set = clumps.templates(shapes)
+    template_set = clumps.templates(shapes, shape_spheres)
     return Scene(
         name="pipe",
         duration=duration,
@@ -200,6 +205,7 @@ def scene(
             container=PipeContainer(axis, radius, length),
             sizes=distribution,
             templates=template_set,
+            shares=_shares(shares),
             density=density,
             solid_fraction=solid_fraction,
             pressure=max(plug_pressure, 1.0) if solid_fraction is None else None,
@@ -214,6 +220,7 @@ def scene(
             tensile_strength=tensile_strength,
             cohesion=cohesion,
             friction_angle=friction_angle,
+            gap=bond_gap,
             healing=healing,
         )
         if bonds
@@ -360,6 +367,15 @@ def _distance_from_axis(axis: Axis, x: np.ndarray) -> float:
     return best
 
 
+def _shares(text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        refuse("shares", text, "must be numbers joined by commas", "for example '2,1,1,1'")
+
+
 def _simplifications(shapes: str) -> tuple[str, ...]:
     if shapes == "spheres":
         return (
@@ -371,7 +387,20 @@ def _simplifications(shapes: str) -> tuple[str, ...]:
 
 def _is_reference(given: dict[str, Any]) -> bool:
     """Is this the paper's case, as far as it is stated? (Shapes differ: it shows no coordinates.)"""
-    free = {"unit", "shapes", "wall", "wall_scale", "facets", "seed", "settle", "safety", "sample_interval", "travel"}
+    free = {
+        "unit",
+        "shapes",
+        "shape_spheres",
+        "shares",
+        "wall",
+        "wall_scale",
+        "facets",
+        "seed",
+        "settle",
+        "safety",
+        "sample_interval",
+        "travel",
+    }
     defaults = {name: p.default for name, p in _parameter_names().items()}
     return all(given[name] == defaults[name] for name in given if name not in free)
 

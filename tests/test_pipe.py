@@ -5,6 +5,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -321,12 +322,8 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        table = folder / "series.csv"
-        if table.exists() and len(table.read_text().splitlines()) > 5:
-            break
-        time.sleep(0.1)
+    table = folder / "series.csv"
+    assert wait_until(lambda: table.exists() and len(table.read_text().splitlines()) > 5, 120)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
@@ -343,30 +340,41 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
     assert checked.returncode == 0
 
 
+def wait_until(condition, seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.2)
+    return False
+
+
 def test_live_recording_reaches_a_running_viewer(tmp_path):
-    # A headless server stands for the viewer: the recording arrives over the network.
-    server = subprocess.Popen(
-        [sys.executable, "-m", "rerun", "--serve-grpc", "--port", "9899"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    # A server without a window stands for the viewer; what it got is fetched back over the network.
+    with socket.socket() as one, socket.socket() as two:
+        one.bind(("127.0.0.1", 0))
+        two.bind(("127.0.0.1", 0))
+        port, other_port = one.getsockname()[1], two.getsockname()[1]
+    silent = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    server = subprocess.Popen([sys.executable, "-m", "rerun", "--serve-grpc", "--port", str(port)], **silent)
+
+    def listening():
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", port)) == 0
+
     try:
-        time.sleep(3)
-        url = "rerun+http://127.0.0.1:9899/proxy"
+        assert wait_until(listening, 60)
+        url = f"rerun+http://127.0.0.1:{port}/proxy"
         done = command("run", "pipe", *small_options(travel=0.005), "--out", tmp_path / "run", "--live", url, "--quiet")
         assert done.returncode == 0, done.stderr
         saved = tmp_path / "live.rrd"
-        fetched = subprocess.Popen(
-            [sys.executable, "-m", "rerun", url, "--save", str(saved)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+        fetch = subprocess.Popen(
+            [sys.executable, "-m", "rerun", url, "--port", str(other_port), "--save", str(saved)], **silent
         )
-        deadline = time.monotonic() + 30
-        while time.monotonic() < deadline and (not saved.exists() or saved.stat().st_size < 20_000):
-            time.sleep(0.5)
-        fetched.terminate()
-        fetched.wait(10)
-        assert saved.stat().st_size > 20_000
+        arrived = wait_until(lambda: saved.exists() and saved.stat().st_size > 20_000, 90)
+        fetch.terminate()
+        fetch.wait(10)
+        assert arrived
     finally:
         server.terminate()
         server.wait(10)

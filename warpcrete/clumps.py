@@ -141,8 +141,12 @@ def reference() -> tuple[ClumpTemplate, ...]:
 TEMPLATE_SETS = ("reference", "spheres", "shape-1.5", "shape-2.5", "shape-3.5", "shape-4.5")
 
 
-def templates(name: str) -> tuple[ClumpTemplate, ...]:
-    """Templates by name: `reference` (four clumps), `spheres`, or `shape-F` with a shape factor F of 1 to 20."""
+def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
+    """Templates by name: `reference` (four clumps), `spheres`, `shape-F` with a shape factor F of 1 to 20.
+
+    Anything with a file ending is the path of a closed mesh, covered by `spheres` spheres; several paths may
+    be joined by commas.
+    """
     if name == "reference":
         return reference()
     if name == "spheres":
@@ -153,7 +157,15 @@ def templates(name: str) -> tuple[ClumpTemplate, ...]:
         except ValueError as error:
             if isinstance(error, SceneError):
                 raise
-    refuse("shapes", name, "must be one of " + ", ".join(TEMPLATE_SETS), "any factor from 1 to 20 may follow 'shape-'")
+    paths = [part.strip() for part in name.split(",")]
+    if all(Path(path).suffix for path in paths):
+        return tuple(from_mesh(path, spheres, Path(path).stem) for path in paths)
+    refuse(
+        "shapes",
+        name,
+        "must be one of " + ", ".join(TEMPLATE_SETS) + ", or the path of a closed mesh",
+        "any factor from 1 to 20 may follow 'shape-'",
+    )
 
 
 def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> ClumpTemplate:
@@ -172,8 +184,6 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
         refuse("spheres", spheres, "must be a whole number in [1, 500]")
     between("spheres", spheres, 1, 500)
     mesh = load_closed(mesh, "clump mesh")
-    if isinstance(name, Path):
-        name = name.stem
     lower, upper = mesh.bounds
     step = (upper - lower).max() / resolution
     axes = [np.arange(a + step / 2, b, step) for a, b in zip(lower, upper, strict=True)]

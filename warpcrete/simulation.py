@@ -239,11 +239,13 @@ class Simulation:
         flags = state.flags.numpy()
         now = stepper.time
         row = {"time": now}
-        impulse = state.wall_impulse.numpy().reshape(-1, 3).copy()
+        pushes = [state.wall_impulse.numpy(), state.wall_angular_impulse.numpy()]
+        impulse = np.concatenate([push.reshape(-1, 3) for push in pushes], axis=1)
         # Forces have acted up to the middle of the last step.
         half_time = now - 0.5 * float(state.clock.numpy()[2])
         if self._last_impulse is None:
-            mean = state.wall_force.numpy().reshape(-1, 3).copy()
+            loads = [state.wall_force.numpy(), state.wall_moment.numpy()]
+            mean = np.concatenate([load.reshape(-1, 3) for load in loads], axis=1)
         else:
             mean = (impulse - self._last_impulse) / max(half_time - self._last_half_time, 1e-300)
         self._last_impulse, self._last_half_time = impulse, half_time
@@ -253,7 +255,7 @@ class Simulation:
                 row["travel"] = float(state.wall_travel.numpy()[number])
                 turn = state.wall_orientation.numpy().reshape(-1, 4)[number].astype(float)
                 normal = rotate(turn[None], np.array([wall.normal]))[0]
-                row["pressure"] = float(-mean[number] @ normal / self.scene.notes["pressure_area"])
+                row["pressure"] = float(-mean[number, :3] @ normal / self.scene.notes["pressure_area"])
         row |= {
             "kinetic_energy": bodies.kinetic_energy,
             "potential_energy": bodies.potential_energy,
@@ -274,6 +276,7 @@ class Simulation:
             row[f"drive_{letter}"] = float(bodies.drive_force[axis])
             for number, wall in enumerate(model.walls):
                 row[f"{wall.name}_force_{letter}"] = float(mean[number, axis])
+                row[f"{wall.name}_moment_{letter}"] = float(mean[number, 3 + axis])
                 row[f"{wall.name}_impulse_{letter}"] = float(impulse[number, axis])
         self.rows.append(row)
         for recorder in self.recorders:
@@ -328,7 +331,7 @@ def unit_of(column: str) -> str:
     """Unit of a column of the series."""
     if column in UNITS:
         return UNITS[column]
-    return "N s" if "_impulse_" in column else "N"
+    return "N s" if "_impulse_" in column else "N m" if "_moment_" in column else "N"
 
 
 def pressure_figures(series: dict[str, np.ndarray]) -> dict[str, Any]:
