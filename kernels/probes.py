@@ -22,7 +22,7 @@ BONDED_HYDRATED = 7  # pairs with a bond of the second kind
 CONTACT_COLUMNS = 8
 
 # Columns of the per-body sums.
-KINETIC = 0  # [J], at the time of the positions
+KINETIC = 0  # [J], at the middle of the last step
 POTENTIAL = 1  # [J], gravity, from the origin
 MOMENTUM = 2  # ..4 [kg m/s], at the middle of the last step
 LIFT = 5  # ..7 sum of mass times position [kg m]
@@ -90,6 +90,8 @@ def probe_kernels(scalar, half: bool, friction: bool, bonds: bool):
         wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat),
         slot_shear: wp.array2d(dtype=t.vec3),
+        slot_overlap: wp.array2d(dtype=scalar),
+        slot_wall: wp.array2d(dtype=wp.int32),
         body_position: wp.array(dtype=t.vec3),
         sphere_body: wp.array(dtype=wp.int32),
         sphere_id: wp.array(dtype=wp.int32),
@@ -163,6 +165,14 @@ def probe_kernels(scalar, half: bool, friction: bool, bonds: bool):
                 p = contact_parameters[sphere_material[i] * materials + walls[w].material]
                 kn = normal_stiffness(p, radius_i, radius_i)
                 energy = kn * overlap * overlap + wp.length_sq(slot_shear[i, w]) / (kn * p.shear_to_normal)
+                values[row, 3] = values[row, 3] + wp.float64(scalar(0.5) * energy)
+
+        for s in range(analytic, slot_wall.shape[1]):
+            if slot_wall[i, s] >= 0:
+                p = contact_parameters[sphere_material[i] * materials + walls[slot_wall[i, s]].material]
+                kn = normal_stiffness(p, radius_i, radius_i)
+                energy = kn * slot_overlap[i, s] * slot_overlap[i, s]
+                energy += wp.length_sq(slot_shear[i, s]) / (kn * p.shear_to_normal)
                 values[row, 3] = values[row, 3] + wp.float64(scalar(0.5) * energy)
 
     return measure_bodies, measure_contacts

@@ -51,6 +51,16 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         levers = wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
         return (kn - ks) * wp.outer(c, c) + ks * levers + outer(n, torsion, bending)
 
+    @wp.func
+    def load_wall(
+        wall_load: wp.array2d(dtype=wp.int64), w: wp.int32, p: ContactParameters, radius: scalar, mass: scalar
+    ):
+        # Stiffness [mN/m] and damping [mN s/m] that a wall meets; whole numbers add up the same in any order.
+        k = normal_stiffness(p, radius, radius)
+        c = scalar(2.0) * p.damping_normal * wp.sqrt(mass * k)
+        wp.atomic_add(wall_load, w, 0, wp.int64(wp.float64(k) * wp.float64(1000.0)))
+        wp.atomic_add(wall_load, w, 1, wp.int64(wp.float64(c) * wp.float64(1000.0)))
+
     @wp.kernel(module="unique", enable_backward=False)
     def gather(
         contact_parameters: wp.array(dtype=ContactParameters),
@@ -62,6 +72,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat),
         body_position: wp.array(dtype=t.vec3),
+        body_mass: wp.array(dtype=scalar),
         sphere_body: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
         sphere_material: wp.array(dtype=wp.int32),
@@ -72,6 +83,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
         pair_bond: wp.array(dtype=wp.int32),
         translation: wp.array(dtype=t.mat33),
         rotation: wp.array(dtype=t.mat33),
+        wall_load: wp.array2d(dtype=wp.int64),
     ):
         i = wp.tid()
         xi = xyz(sphere_position[i])
@@ -122,7 +134,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 distance = wp.dot(xi - wall_position[w], n)
             else:
                 offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, xi - wall_position[w])
-                n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+                n = -safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
                 distance = walls[w].radius - wp.length(offset)
             if distance < radius_i:
                 p = contact_parameters[row + walls[w].material]
@@ -130,6 +142,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 ks = kn * p.shear_to_normal
                 sum_i += outer(n, kn, ks)
                 turn_i += turning(arm_i - radius_i * n, n, kn, ks, scalar(0.0), scalar(0.0))
+                load_wall(wall_load, w, p, radius_i, body_mass[sphere_body[i]])
         for s in range(analytic, slot_wall.shape[1]):
             w = slot_wall[i, s]
             if w >= 0:
@@ -139,6 +152,7 @@ def timestep_kernels(scalar, half: bool, bonds: bool):
                 ks = kn * p.shear_to_normal
                 sum_i += outer(n, kn, ks)
                 turn_i += turning(arm_i + radius_i * n, n, kn, ks, scalar(0.0), scalar(0.0))
+                load_wall(wall_load, w, p, radius_i, body_mass[sphere_body[i]])
         translation[i] = translation[i] + sum_i
         rotation[i] = rotation[i] + turn_i
 

@@ -25,6 +25,7 @@ PRESCRIBED = wp.constant(1)
 DRIVEN = wp.constant(2)
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
+SPEED_LIMIT = 1.0e4  # [m/s]; nothing that is pumped or dropped comes near
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time; more sets OVERFLOW
 
 
@@ -129,11 +130,12 @@ def advance_kernel(scalar):
             if wall.motion == PRESCRIBED:
                 gone = ramped(now, wall.ramp_time)
                 angle = gone * wp.length(wall.spin)
-                after = rest_position[w] + gone * wall.velocity
+                after = rest_position[w]
                 if angle > wp.float64(0.0):
                     q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
                     after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
                     orientation[w] = t.quat(q)
+                after += gone * wall.velocity  # the pivot travels along
                 rate = wp.float64(0.0)
                 if dt > wp.float64(0.0):
                     rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
@@ -153,6 +155,8 @@ def advance_kernel(scalar):
                 # The damper acts on the mean of old and new speed, which is stable for any damping.
                 half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
                 speed = ((wp.float64(1.0) - half) * speed + kick * push / wall.mass) / (wp.float64(1.0) + half)
+                if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
+                    flags[FAILED] = -1 - w
                 velocity_exact[w] = speed * direction
                 position_exact[w] = before + dt * speed * direction
                 travel[w] = travel[w] + dt * speed
@@ -266,6 +270,7 @@ def wall_kernel(scalar, meshes: bool):
         flags: wp.array(dtype=wp.int32),
         slot_shear: wp.array2d(dtype=t.vec3),
         slot_normal: wp.array2d(dtype=t.vec3),
+        slot_overlap: wp.array2d(dtype=scalar),
         slot_wall: wp.array2d(dtype=wp.int32),
         force: wp.array(dtype=t.vec3),
         moment: wp.array(dtype=t.vec3),
@@ -394,6 +399,7 @@ def wall_kernel(scalar, meshes: bool):
                     if s < found:
                         slot_wall[i, analytic + s] = owners[s]
                         slot_normal[i, analytic + s] = normals[s]
+                        slot_overlap[i, analytic + s] = -gaps[s]
                         slot_shear[i, analytic + s] = shears[s]
                     else:
                         slot_wall[i, analytic + s] = -1

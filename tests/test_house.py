@@ -129,7 +129,7 @@ def test_a_second_step_compiles_nothing(device):
 def test_error_messages_name_field_value_and_range():
     from warpcrete import SceneError, scenes
 
-    with pytest.raises(SceneError, match=r"^diameter = -1: must be a finite number above 0 m$"):
+    with pytest.raises(SceneError, match=r"^diameter = -1\.0: must be a finite number above 0 m$"):
         scenes.pipe(diameter=-1)
     with pytest.raises(SceneError, match=r"^unit = 'x': must be one of vertical, horizontal, elbow-up, elbow-down$"):
         scenes.pipe(unit="x")

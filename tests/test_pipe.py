@@ -245,6 +245,12 @@ BAD = [
     (["--diameter", "wide"], "diameter"),
     (["--no-such-option"], "no-such-option"),
     (["--seed", "-3"], "seed = -3"),
+    (["--hydration", "0.2", "--time-step", "5e-5"], "time_step = 5e-05"),
+    (["--live", "nowhere"], "live = 'nowhere'"),
+    (["--sizes", "5:0,nan:0.4,20:1"], "openings"),
+    (["--plug-pressure", "1e6"], "packing pressure"),
+    (["--unit", "C", "--pipeline-vertical", "100"], "unit = 'elbow-up'"),
+    (["--plug", "none", "--plug-ball", "-3"], "plug_ball = -3.0"),
     (["--elbow-radius", "0.03", "--unit", "C", "--travel", "0.01"], "elbow_radius = 0.03"),
 ]
 

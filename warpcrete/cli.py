@@ -8,13 +8,13 @@ import pkgutil
 import signal
 import subprocess
 import sys
-import types
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import click
 
 from .errors import InstabilityError, RunFolderError, WarpcreteError
+from .parameters import kind_and_help
 
 
 def scene_modules() -> dict[str, Any]:
@@ -103,7 +103,7 @@ def _scene_command(name: str, module) -> click.Command:
     hints = get_type_hints(function, include_extras=True)
     options: list[click.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():
-        kind, text = _kind_and_help(hints[parameter.name])
+        kind, _, text = kind_and_help(hints[parameter.name])
         flag = "--" + parameter.name.replace("_", "-")
         if kind is bool:
             options.append(
@@ -145,17 +145,9 @@ def _repeat_command(path: Path) -> click.Command:
     return click.Command(str(path), params=_common_options(), callback=callback, help="Repeat a saved run.")
 
 
-def _kind_and_help(annotation: Any) -> tuple[Any, str]:
-    """Type and help text of `Annotated[type | None, text]`."""
-    kind, text = get_args(annotation)
-    if get_origin(kind) in (Union, types.UnionType):
-        kind = next(k for k in get_args(kind) if k is not type(None))
-    return kind, text
-
-
 def _run(name: str, module, parameters: dict[str, Any], *, out, device, precision, live, frames, colour, network, rerun,
          usd, pipeline_vertical, pipeline_horizontal, pipeline_other, quiet) -> None:  # fmt: skip
-    from .errors import between, positive
+    from .errors import between, one_of, positive
     from .pipeline import pipeline_estimate
     from .progress import ProgressBar
     from .record_plot import PlotRecorder
@@ -173,6 +165,12 @@ def _run(name: str, module, parameters: dict[str, Any], *, out, device, precisio
         raise RunFolderError(f"pipeline_other = '{pipeline_other}': is not the folder of a finished pipe run")
 
     scene = module.scene(**parameters)
+    piped = pipeline_vertical is not None or pipeline_horizontal is not None
+    if piped:
+        straight = ("vertical", "horizontal")
+        one_of("unit", scene.notes.get("unit"), straight)
+        if other is not None:
+            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
     recorders: list[Recorder] = [TableRecorder(folder)]
     if rerun or live:
         from .record_rerun import RerunRecorder
@@ -200,9 +198,12 @@ def _run(name: str, module, parameters: dict[str, Any], *, out, device, precisio
         click.echo(f"note: {line}", err=True)
 
     def stop(signum, frame) -> None:
-        # The first Ctrl-C ends the run at its next sample; a second one ends it at once.
+        # The first Ctrl-C ends the run at its next sample, a second one at once; none disturbs the writing.
+        if simulation.finishing:
+            return
+        if simulation.stop_requested:
+            raise KeyboardInterrupt
         simulation.stop_requested = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
     previous = signal.getsignal(signal.SIGINT)
     try:
@@ -212,7 +213,7 @@ def _run(name: str, module, parameters: dict[str, Any], *, out, device, precisio
     finally:
         signal.signal(signal.SIGINT, previous)
         progress.close()
-    if run.folder is not None and (pipeline_vertical is not None or pipeline_horizontal is not None):
+    if run.folder is not None and piped and "plateau_pressure" in run.result:
         run.result["pipeline_estimate"] = pipeline_estimate(
             run, pipeline_vertical or 0.0, pipeline_horizontal or 0.0, other
         )
@@ -264,6 +265,9 @@ def main() -> None:
         cli(standalone_mode=False)
     except click.exceptions.Exit as request:
         raise SystemExit(request.exit_code) from None
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        raise SystemExit(2) from None
     except click.UsageError as error:
         click.echo(f"error: {' '.join(error.format_message().split())}", err=True)
         raise SystemExit(2) from None
@@ -276,3 +280,6 @@ def main() -> None:
     except WarpcreteError as error:
         click.echo(f"error: {error}", err=True)
         raise SystemExit(2) from None
+    except OSError as error:
+        click.echo(f"error: {error.filename or 'file system'}: {error.strerror}", err=True)
+        raise SystemExit(1) from None

@@ -86,7 +86,12 @@ def union_properties(
 
 def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     """Template from spheres at any scale and place: centred, turned to principal axes, scaled to unit size."""
-    centres, radii = np.atleast_2d(np.asarray(centres, float)), np.atleast_1d(np.asarray(radii, float))
+    try:
+        centres, radii = np.atleast_2d(np.asarray(centres, float)), np.atleast_1d(np.asarray(radii, float))
+    except (TypeError, ValueError):
+        refuse("centres", centres, "must be rows of three numbers, with one radius each")
+    if len(radii) == 0:
+        refuse("radii", [], "needs one sphere or more")
     if centres.shape != (len(radii), 3) or not np.all(np.isfinite(centres)):
         refuse("centres", f"shape {centres.shape}", f"must be finite, shape ({len(radii)}, 3)")
     if not np.all(np.isfinite(radii)) or np.any(radii <= 0):
@@ -183,6 +188,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if isinstance(spheres, bool) or not isinstance(spheres, int | np.integer):
         refuse("spheres", spheres, "must be a whole number in [1, 500]")
     between("spheres", spheres, 1, 500)
+    between("resolution", resolution, 4, 256)
     mesh = load_closed(mesh, "clump mesh")
     lower, upper = mesh.bounds
     step = (upper - lower).max() / resolution

@@ -13,12 +13,10 @@ from .kernels.bonds import bond_kernels
 from .kernels.contacts import contact_kernel
 from .kernels.timestep import timestep_kernels
 from .kernels.types import types
-from .kernels.walls import advance_kernel, wall_kernel
+from .kernels.walls import SPEED_LIMIT, advance_kernel, wall_kernel
 from .model import Model
-from .scene import Bonds
+from .scene import Bonds, Driven, MeshWall
 from .state import State
-
-SPEED_LIMIT = 1e4  # [m/s]; nothing that is pumped or dropped comes near
 
 
 class Stage:
@@ -51,6 +49,9 @@ def step_stages(
     """Stages of one step on the arrays that the state holds now."""
     f, scalar, device = model.features, model.scalar, model.device
     gravity = types(scalar).vec3(*model.scene.gravity)
+    # What spheres and moving meshes may go between two builds adds up to the skin.
+    moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in model.walls)
+    sphere_share = 0.5 * mesh_skin if moving_mesh else mesh_skin
     stages = [
         Stage(
             contact_kernel(scalar, f.half_list, f.friction, f.bonds, f.healing),
@@ -75,7 +76,8 @@ def step_stages(
                     model.corners, model.faces, model.face_across, model.ring_start, model.ring, model.face_wall,
                     state.candidate_start, state.candidate_face, state.sphere_position, state.sphere_velocity,
                     state.sphere_spin, state.sphere_material, state.clock, state.flags, state.slot_shear,
-                    state.slot_normal, state.slot_wall, state.force, state.moment, state.wall_step_force,
+                    state.slot_normal, state.slot_overlap, state.slot_wall, state.force, state.moment,
+                    state.wall_step_force,
                 ],
                 device,
             )
@@ -101,7 +103,7 @@ def step_stages(
             [
                 gravity, local_damping, SPEED_LIMIT, model.segments, model.drive_axis, model.drive_force,
                 state.body_group, state.body_mass, state.body_inertia, state.body_first, state.sphere_offset,
-                state.sphere_built, state.reference_velocity, skin, mesh_skin, growth_rate, growth_end, state.clock,
+                state.sphere_built, state.reference_velocity, skin, sphere_share, growth_rate, growth_end, state.clock,
                 state.flags, state.scale, state.force, state.moment, state.body_position, state.body_velocity,
                 state.body_spin, state.body_orientation, state.body_angular_momentum, state.sphere_position,
                 state.sphere_velocity, state.sphere_spin,
@@ -123,6 +125,8 @@ class StableStep:
         mat33 = types(model.scalar).mat33
         self._translation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
         self._rotation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
+        self._wall_load = wp.zeros((len(model.walls), 2), dtype=wp.int64, device=model.device)
+        self._driven = [(w, wall.motion) for w, wall in enumerate(model.walls) if isinstance(wall.motion, Driven)]
         self._smallest = wp.zeros(1, dtype=wp.float64, device=model.device)
 
     def __call__(self, model: Model, state: State) -> float:
@@ -130,6 +134,7 @@ class StableStep:
         if state.body_count == 0:
             return float("inf")
         self._smallest.fill_(1e30)
+        self._wall_load.zero_()
         device = model.device
         wp.launch(
             self._gather,
@@ -137,9 +142,10 @@ class StableStep:
             inputs=[
                 model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
                 model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
-                state.body_position, state.sphere_body, state.sphere_position, state.sphere_material,
-                state.slot_wall, state.slot_normal, state.pair_start, state.pair_other,
+                state.body_position, state.body_mass, state.sphere_body, state.sphere_position,
+                state.sphere_material, state.slot_wall, state.slot_normal, state.pair_start, state.pair_other,
                 state.pair_bond, self._translation, self._rotation,
+                self._wall_load,
             ],
             device=device,
         )  # fmt: skip
@@ -155,6 +161,15 @@ class StableStep:
             device=device,
         )  # fmt: skip
         step = float(self._smallest.numpy()[0])
+        if self._driven:
+            # A driven wall is a body, too; never less than one contact with the largest sphere.
+            modulus = float(model.contact_parameters.numpy()["effective_modulus"].max())
+            load = self._wall_load.numpy() / 1000
+            for wall, motion in self._driven:
+                stiffness = max(float(load[wall, 0]), np.pi * modulus * state.largest_radius)
+                # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
+                ratio = 0.5 * float(load[wall, 1]) / np.sqrt(motion.mass * stiffness)
+                step = min(step, float(np.sqrt(motion.mass / stiffness) * (np.hypot(1, ratio) - ratio)))
         if not np.isfinite(step) or step <= 0:
             raise InstabilityError(f"the stable time step came out as {step}; masses or stiffnesses are out of range")
         return step

@@ -21,6 +21,8 @@ def load(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     """
     if isinstance(source, trimesh.Trimesh):
         mesh = source.copy()
+    elif not isinstance(source, str | Path):
+        refuse(field, type(source).__name__, "must be a trimesh.Trimesh or the path of a mesh file")
     else:
         path = Path(source)
         if not path.is_file():

@@ -47,6 +47,8 @@ class NeighborLists:
     def __call__(self, model: Model, state: State) -> bool:
         """Rebuild; returns True if arrays were reallocated, so that recorded launches are void."""
         if state.sphere_count == 0:
+            state.wall_moved.zero_()
+            self._mark_fresh(state)
             return False
         n, device = state.sphere_count, model.device
         old_place = new_place = self._identity
@@ -81,13 +83,17 @@ class NeighborLists:
 
         mean = state.sphere_velocity.numpy()[:, :3].mean(0, dtype=float)
         state.reference_velocity.assign([tuple(mean)])
+        self._mark_fresh(state)
+        return grown
+
+    @staticmethod
+    def _mark_fresh(state: State) -> None:
         clock = state.clock.numpy()
         clock[int(SINCE_BUILD)] = 0.0
         state.clock.assign(clock)
         flags = state.flags.numpy()
         flags[int(STALE)] = 0
         state.flags.assign(flags)
-        return grown
 
     @staticmethod
     def _pair_arrays(state: State) -> list[wp.array]:
@@ -136,7 +142,7 @@ class NeighborLists:
             for name in names:
                 array = getattr(state, name)
                 _permute(array, places)
-        for name in ("slot_shear", "slot_normal", "slot_wall"):
+        for name in ("slot_shear", "slot_normal", "slot_overlap", "slot_wall"):
             array = getattr(state, name)
             if array.shape[1] > 0:
                 _permute(array, old_place)

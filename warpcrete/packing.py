@@ -20,6 +20,7 @@ from .stepper import Stepper
 START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
+TRANSIENT = 0.005  # pressure over contact modulus that aggregates reach before they have parted
 CLOSE_FRACTION = 0.75  # more than any packing of these shapes takes under kilopascals
 
 
@@ -232,6 +233,8 @@ def pack(
         table, report = _grow(fill, fill.container, fill.solid_fraction, None, contact, random, device, precision, tell)
         return table, report
     pilot = fill.container.pilot()
+    if pilot is fill.container:
+        pilot = replace(pilot)
     share = pilot.volume / (pilot.volume + fill.container.volume)
     _, found = _grow(
         fill, pilot, CLOSE_FRACTION, fill.pressure, contact, random, device, precision, lambda s: tell(share * s)
@@ -276,10 +279,12 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
             stepper.choose_dt()
             stepper.take(chunk)
             tell(0.6 * (number + 1) * chunk / GROWTH_STEPS)
-            if pressure is not None and number % 2 and _pressure(model, state, container.volume) > pressure:
+            # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
+            enough = max(pressure or 0.0, TRANSIENT * contact.effective_modulus)
+            if pressure is not None and number % 2 and _pressure(model, state, container.volume) > enough:
                 break
         # Rest, and with a wanted pressure creep towards it from either side.
-        steps, good = RELAX_STEPS, 0
+        steps, good, least, below = RELAX_STEPS, 0, 1e-3, None
         for number in range(steps // chunk):
             if pressure is not None:
                 error = pressure - _pressure(model, state, container.volume)
@@ -288,6 +293,11 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
                     break
                 # dp/d(ln size) of a packing is about its contacts' modulus.
                 change = np.clip(error / contact.effective_modulus, -2e-3, 2e-3)
+                if below is not None and below != (error > 0):
+                    least *= 0.5
+                below = bool(error > 0)
+                if error > 0.5 * pressure:
+                    change = max(change, least)  # not jammed: no pressure tells how far to go
                 stepper.change(growth_rate=float(change) / chunk, growth_end=2.0)
             stepper.choose_dt()
             stepper.take(chunk)
@@ -302,6 +312,17 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
     result.density = table.density.copy()
     result.velocity = np.zeros_like(result.velocity)
     result.spin = np.zeros_like(result.spin)
+    reached = sums.virial / (3 * container.volume)
+    if pressure is not None and container is fill.container:
+        found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+        if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
+            refuse(
+                "packing pressure",
+                pressure,
+                f"cannot be met, the packing {found}",
+                f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                f"({contact.effective_modulus:g} Pa)",
+            )
     report = PackingReport(
         bodies=len(result),
         spheres=state.sphere_count,
@@ -309,7 +330,7 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
         coordination_number=sums.coordination_number,
         mean_overlap=sums.mean_overlap,
         largest_overlap=sums.largest_overlap,
-        pressure=sums.virial / (3 * container.volume),
+        pressure=reached,
         size_factor=factor,
     )
     return result, report

@@ -15,7 +15,7 @@ from .state import State
 
 @dataclass(frozen=True)
 class ContactSums:
-    """Sphere-sphere contacts of a state (energies include planes and pipes)."""
+    """Sphere-sphere contacts of a state; the elastic energy includes walls."""
 
     contacts: int
     coordination_number: float
@@ -38,7 +38,7 @@ class BodySums:
     """Sums over the bodies of a state."""
 
     kinetic_energy: float
-    """[J]"""
+    """[J], at the middle of the last step."""
     potential_energy: float
     """[J], gravity, zero at the origin."""
     momentum: np.ndarray
@@ -95,6 +95,7 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
         inputs=[
             model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
             model.analytic_walls, model.segments, state.wall_position, state.wall_orientation, state.slot_shear,
+            state.slot_overlap, state.slot_wall,
             state.body_position, state.sphere_body, state.sphere_id, state.sphere_position,
             state.sphere_material, state.pair_start, state.pair_other,
             state.pair_shear, state.pair_bond, state.pair_bond_force, state.pair_bond_moment, values,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
-from .errors import one_of
+from .errors import one_of, refuse
 from .simulation import Run, Simulation
 
 WALL_COLOURS = {"pipe": (150, 165, 180, 40), "piston": (190, 110, 60, 255)}
@@ -28,12 +28,18 @@ class RerunRecorder:
         one_of("colour", colouring, ("speed", "size", "force"))
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._recording: Any = None
-
-    def start(self, simulation: Simulation) -> None:
-        """Open the sinks, send the blueprint and everything that does not change."""
         import rerun as rr
 
         self._rr = rr
+        if isinstance(live, str):
+            try:
+                rr.GrpcSink(live)
+            except (RuntimeError, ValueError) as error:
+                refuse("live", live, f"is no viewer's URL ({error})", "for example rerun+http://127.0.0.1:9876/proxy")
+
+    def start(self, simulation: Simulation) -> None:
+        """Open the sinks, send the blueprint and everything that does not change."""
+        rr = self._rr
         recording = rr.RecordingStream("warpcrete")
         self._recording = recording
         blueprint = self._blueprint(simulation)
@@ -42,7 +48,7 @@ class RerunRecorder:
             sinks.append(rr.FileSink(str(self.path)))
         if self.live:
             if self.live is True:
-                rr.spawn(connect=False)
+                rr.spawn(connect=False, recording=recording)
                 sinks.append(rr.GrpcSink())
             else:
                 sinks.append(rr.GrpcSink(str(self.live)))

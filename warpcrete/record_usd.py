@@ -22,6 +22,8 @@ class UsdRecorder:
     def __init__(self, path: Path, *, colouring: str = "speed") -> None:
         self.path, self.colouring = path, colouring
         self._stage: Any = None
+        self._first: float | None = None
+        self._last: float | None = None
 
     def start(self, simulation: Simulation) -> None:
         """Stage, prototypes, walls and camera."""
@@ -67,7 +69,7 @@ class UsdRecorder:
             if drawn is None:
                 continue
             vertices, faces = drawn
-            mesh = UsdGeom.Mesh.Define(stage, f"/Run/Walls/{_prim_name(wall.name)}")
+            mesh = UsdGeom.Mesh.Define(stage, f"/Run/Walls/{_prim_name(wall.name, number, simulation)}")
             points = vertices.astype(np.float32)
             mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
             mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
@@ -90,7 +92,6 @@ class UsdRecorder:
         camera.CreateFocalLengthAttr(22.0)
         camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * distance, 100 * distance))
         camera.CreateFocusDistanceAttr(distance)
-        self._first = self._last = None
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Nothing: USD holds pictures, not series."""
@@ -150,5 +151,9 @@ class UsdRecorder:
         return Sdf.ValueTypeNames
 
 
-def _prim_name(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name)
+def _prim_name(name: str, number: int, simulation: Simulation) -> str:
+    from pxr import Tf
+
+    valid = Tf.MakeValidIdentifier(name)
+    same = [w for w in simulation.model.walls if Tf.MakeValidIdentifier(w.name) == valid]
+    return valid if len(same) == 1 and name else f"{valid}_{number}"

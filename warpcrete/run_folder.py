@@ -13,7 +13,11 @@ from .simulation import Run, Simulation, scene_record, unit_of, write_json
 
 def check_new(folder: Path) -> None:
     """Refuse a path that exists, or that cannot be made."""
-    if folder.exists() or folder.is_symlink():
+    try:
+        there = folder.exists() or folder.is_symlink()
+    except OSError as error:
+        raise RunFolderError(f"out = '{folder}': cannot be a folder ({error.strerror})") from error
+    if there:
         raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
     parent = folder.absolute().parent
     while not parent.exists():

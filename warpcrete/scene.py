@@ -100,7 +100,7 @@ class Prescribed:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Final velocity [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final angular velocity about `pivot` [rad/s]."""
+    """Final angular velocity about `pivot` [rad/s]; with a velocity the pivot travels along."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
     """[s]"""
@@ -133,6 +133,7 @@ class Driven:
         if not np.any(self.direction):
             refuse("direction", self.direction, "must not be zero")
         positive("mass", self.mass, "kg")
+        between("driving force", self.force, -np.inf, np.inf, "N")
         between("damping", self.damping, 0, np.inf, "N s/m")
 
 
@@ -190,8 +191,11 @@ class MeshWall:
     motion: Motion | None = None
 
     def __post_init__(self) -> None:
-        vertices = np.asarray(self.vertices, dtype=float)
-        faces = np.asarray(self.faces, dtype=np.int32)
+        try:
+            vertices = np.asarray(self.vertices, dtype=float)
+            faces = np.asarray(self.faces, dtype=np.int32)
+        except (TypeError, ValueError):
+            refuse(f"{self.name}.vertices", "not numbers", "must be finite, shape (v, 3), with faces of shape (f, 3)")
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
             refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite, shape (v, 3)")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
@@ -213,6 +217,9 @@ class AxisDrive:
     axis: Axis
     force: float
     """Sum over the group [N]; negative pushes against the axis' direction."""
+
+    def __post_init__(self) -> None:
+        between("drive force", self.force, -np.inf, np.inf, "N")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,11 +244,19 @@ class Bodies:
     """[rad/s], shape (n, 3), in space."""
 
     def __post_init__(self) -> None:
-        positions = np.atleast_2d(np.asarray(self.positions, dtype=float))
+        try:
+            positions = np.atleast_2d(np.asarray(self.positions, dtype=float))
+        except (TypeError, ValueError):
+            refuse("positions", self.positions, "must be finite, shape (n, 3)")
+        if positions.size == 0:
+            positions = positions.reshape(0, 3)
         if positions.shape[1:] != (3,) or not np.all(np.isfinite(positions)):
             refuse("positions", f"shape {positions.shape}", "must be finite, shape (n, 3)")
         n = len(positions)
-        sizes = np.broadcast_to(np.asarray(self.sizes, dtype=float), (n,))
+        try:
+            sizes = np.broadcast_to(np.asarray(self.sizes, dtype=float), (n,))
+        except (TypeError, ValueError):
+            refuse("sizes", self.sizes, f"must be one number or {n} numbers")
         if not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
             refuse("sizes", float(np.min(sizes)), "must be finite numbers above 0 m")
         object.__setattr__(self, "positions", positions)
@@ -250,9 +265,14 @@ class Bodies:
         for name, width in (("orientations", 4), ("velocities", 3), ("spins", 3)):
             value = getattr(self, name)
             if value is not None:
-                value = np.asarray(value, dtype=float)
+                try:
+                    value = np.asarray(value, dtype=float)
+                except (TypeError, ValueError):
+                    refuse(name, value, f"must be finite, shape ({n}, {width})")
                 if value.shape != (n, width) or not np.all(np.isfinite(value)):
                     refuse(name, f"shape {value.shape}", f"must be finite, shape ({n}, {width})")
+                if name == "orientations" and np.any(np.abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
+                    refuse(name, "a quaternion not of length 1", "must be unit quaternions x, y, z, w")
                 object.__setattr__(self, name, value)
 
 
@@ -275,11 +295,13 @@ class TimeStep:
         positive("safety", self.safety)
         between("safety", self.safety, 1e-3, 1.0)
         positive("largest time step", self.largest, "s")
+        if self.interval < 1:
+            refuse("interval", self.interval, "must be 1 step or more")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settle:
-    """Quiet time before t = 0: walls stand still, gravity and drives act, motion is damped."""
+    """Quiet time before t = 0: prescribed walls stand still, gravity and drives act, motion is damped."""
 
     duration: float = 2.0
     """Longest [s]; ends earlier once the kinetic energy is a hundred-thousandth of the elastic."""
@@ -328,12 +350,15 @@ class Scene:
         positive("sample_interval", self.sample_interval, "s")
         object.__setattr__(self, "gravity", vector("gravity", self.gravity))
         between("local_damping", self.local_damping, 0, 0.99)
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             refuse("seed", self.seed, "must be a whole number, 0 or more")
         names = [wall.name for wall in self.walls]
         if len(set(names)) != len(names):
             refuse("walls", names, "must have different names")
-        groups = {bodies.group for bodies in self.bodies if bodies.group}
+        driven = [drive.group for drive in self.drives]
+        if len(set(driven)) != len(driven):
+            refuse("drives", driven, "may name each group once")
+        groups = {bodies.group for bodies in self.bodies if bodies.group and len(bodies.positions)}
         for group in [drive.group for drive in self.drives] + list(self.group_bonds):
             if group not in groups:
                 refuse("group", group, f"must be one of the bodies' groups ({', '.join(sorted(groups)) or 'none'})")

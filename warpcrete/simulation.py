@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .errors import RunFolderError
+from .errors import RunFolderError, WarpcreteError, positive
 from .kernels.walls import FIXED, PRESCRIBED
 from .model import build_model, find_device
 from .packing import PackingReport, pack
@@ -105,6 +105,7 @@ class Simulation:
         frame_interval: float = 0.04,
         progress: Progress | bool = False,
     ) -> None:
+        positive("frame_interval", frame_interval, "s")
         self.scene = scene
         self.device = find_device(device)
         self.precision = precision
@@ -114,6 +115,7 @@ class Simulation:
         self.packing: PackingReport | None = None
         self.rows: list[dict[str, float]] = []
         self.stop_requested = False
+        self.finishing = False
         if progress is True:
             progress = ProgressBar()
         self._progress = progress or (lambda phase, share, figures: None)
@@ -152,6 +154,8 @@ class Simulation:
         self._spent["settling"] = wall_clock.perf_counter() - started
         self.stepper.restart_clock()
         self.bond()
+        self.stepper.choose_dt()
+        self.stepper.running = True
 
     def bond(self) -> None:
         """Bond the scene's contacts as they are now, and hydrate a share of them."""
@@ -164,6 +168,8 @@ class Simulation:
 
     def run(self) -> Run:
         """Prepare and run to the end of the scene's duration, or until `stop_requested` or Ctrl-C."""
+        if self.rows:
+            raise WarpcreteError("this simulation has run; make a new Simulation for another run")
         if not hasattr(self, "state"):
             self.prepare()
         started = wall_clock.perf_counter()
@@ -179,11 +185,18 @@ class Simulation:
                 pass
         finally:
             self._spent["running"] = wall_clock.perf_counter() - started
+            self.finishing = True
             run = self._result(finished)
+            failures = []
             for recorder in begun:
-                recorder.finish(self, run)
+                try:
+                    recorder.finish(self, run)
+                except Exception as error:  # one broken output must not cost the others
+                    failures.append(error)
             if isinstance(self._progress, ProgressBar):
                 self._progress.close()
+        if failures:
+            raise failures[0]
         return run
 
     def _loop(self, started: float) -> bool:
@@ -202,8 +215,7 @@ class Simulation:
             if stepper.time >= next_frame - 1e-9 or number == samples:
                 for recorder in self.recorders:
                     recorder.frame(self)
-                while next_frame <= stepper.time + 1e-9:
-                    next_frame += self.frame_interval
+                next_frame = self.frame_interval * (np.floor(stepper.time / self.frame_interval + 1e-9) + 1)
             spent = wall_clock.perf_counter() - started
             self._tell(
                 "running",
@@ -246,9 +258,11 @@ class Simulation:
         if self._last_impulse is None:
             loads = [state.wall_force.numpy(), state.wall_moment.numpy()]
             mean = np.concatenate([load.reshape(-1, 3) for load in loads], axis=1)
+        elif half_time <= self._last_half_time:
+            mean = self._last_mean  # no step since the last sample
         else:
             mean = (impulse - self._last_impulse) / max(half_time - self._last_half_time, 1e-300)
-        self._last_impulse, self._last_half_time = impulse, half_time
+        self._last_impulse, self._last_half_time, self._last_mean = impulse, half_time, mean
         probe = self.scene.notes.get("pressure_wall")
         for number, wall in enumerate(model.walls):
             if wall.name == probe and isinstance(wall, PlaneWall):
@@ -410,8 +424,19 @@ def scene_record(simulation: Simulation) -> dict[str, Any]:
     }
 
 
+def _finite(data: Any) -> Any:
+    # JSON has no word for NaN: what was not measured is null.
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    if isinstance(data, float) and not np.isfinite(data):
+        return None
+    return data
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write beside, then rename: a reader never sees half a file."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(data, indent=2, allow_nan=True) + "\n")
+    partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n")
     partial.replace(path)

@@ -27,6 +27,8 @@ class Gaussian:
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """`count` sizes [m]."""
+        if self.smallest == self.largest:
+            return np.full(count, self.smallest)
         sizes = np.empty(0)
         while len(sizes) < count:
             draw = random.normal(self.mean, self.deviation, 2 * count + 16)
@@ -62,7 +64,12 @@ class SieveCurve:
     """Rising shares of the mass, from 0 at the first opening to 1 at the last."""
 
     def __post_init__(self) -> None:
-        openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
+        try:
+            openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
+        except (TypeError, ValueError):
+            refuse("openings", self.openings, "openings and passing must be rows of numbers")
+        if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
+            refuse("openings", self.openings, "openings and passing must be finite numbers")
         if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
             refuse("openings", self.openings, "needs two or more, one `passing` share each")
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):

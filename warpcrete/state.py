@@ -193,6 +193,7 @@ class State:
         slots = model.analytic_walls + (MESH_SLOTS if model.features.meshes else 0)
         self.slot_shear = zeros((spheres, slots), t.vec3)
         self.slot_normal = zeros((spheres, slots), t.vec3)
+        self.slot_overlap = zeros((spheres, slots), scalar)
         self.slot_wall = array(np.full((spheres, slots), -1), wp.int32)
         self.wall_position_exact = wp.clone(model.rest_position)
         self.wall_velocity_exact = zeros(walls, wp.vec3d)

@@ -46,6 +46,7 @@ class Stepper:
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
         self._graphs: dict[int, wp.Graph] = {}
         self._since_estimate = math.inf
+        self.running = False  # until then an unstable fixed step is bad input, later an instability
         self.rebuild()
 
     @property
@@ -118,12 +119,12 @@ class Stepper:
         fixed = self.time_step.fixed
         if fixed is not None:
             if fixed > stable:
-                refuse(
-                    "time_step",
-                    fixed,
-                    f"is above the stable step of this scene, {stable:.3g} s",
-                    "leave it out for an automatic step",
-                )
+                what = f"is above the stable step of this scene, {stable:.3g} s"
+                if self.running:
+                    raise InstabilityError(
+                        f"time_step = {fixed!r}: {what} at t = {self.time:.6g} s; choose a smaller one"
+                    )
+                refuse("time_step", fixed, what, "leave it out for an automatic step")
             dt = fixed
         else:
             dt = min(self.time_step.safety * stable, self.time_step.largest)
@@ -164,6 +165,11 @@ class Stepper:
 
     def _attend(self) -> None:
         flags = self.state.flags.numpy()
+        if flags[int(FAILED)] < 0:
+            wall = self.model.walls[-1 - int(flags[int(FAILED)])].name
+            raise InstabilityError(
+                f"driven wall {wall!r} left all bounds at t = {self.time:.6g} s; give it more mass or damping"
+            )
         if flags[int(FAILED)]:
             place = int(flags[int(FAILED)]) - 1
             body = int(self.state.body_id.numpy()[place])
