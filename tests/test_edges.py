@@ -124,6 +124,19 @@ def test_impossible_pressure_is_refused(device):
         pack(fill, device=device)
 
 
+def test_healed_bonds_start_without_the_loads_of_settling(device):
+    small = dict(
+        diameter=0.06, length=0.06, travel=0.01, size_min=8e-3, size_max=12e-3, settle=0.2, tensile_strength=1e9
+    )
+    simulation = Simulation(scenes.pipe(healing=True, cohesion=1e9, **small), device=device)
+    simulation.prepare()
+    state = simulation.state
+    made = state.pair_bond.numpy() == 1
+    assert made.sum() > 50 and np.all(state.pair_bond_force.numpy()[made] == 0)
+    simulation.stepper.advance(0.005)
+    assert np.abs(state.pair_bond_force.numpy()[state.pair_bond.numpy() == 1]).max() > 0
+
+
 def test_one_size_is_a_distribution():
     sizes = Gaussian(0.012, 1e-9, 0.012, 0.012).sample(5, np.random.default_rng(0))
     assert np.array_equal(sizes, np.full(5, 0.012))

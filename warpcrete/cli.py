@@ -81,7 +81,7 @@ def _common_options() -> list[click.Parameter]:
                      help="of positions and forces"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
-        click.Option(["--frames"], type=float, default=25.0, show_default=True, help="frames a simulated second"),
+        click.Option(["--frames"], type=float, default=25.0, show_default=True, help="frames a simulated second, at most one a sample"),
         click.Option(["--colour"], type=click.Choice(["speed", "size", "force"]), default="speed", show_default=True,
                      help="what colours the aggregates"),
         click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),

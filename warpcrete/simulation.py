@@ -153,6 +153,10 @@ class Simulation:
             self.stepper.change(local_damping=scene.local_damping)
         self._spent["settling"] = wall_clock.perf_counter() - started
         self.stepper.restart_clock()
+        if scene.bonds is not None and scene.bonds.healing:
+            # Contacts that healed while settling carry its loads: all of the scene's bonds start anew at t = 0.
+            kinds = self.state.pair_bond.numpy()
+            self.state.pair_bond.assign(np.where(kinds <= 1, 0, kinds).astype(np.int32))
         self.bond()
         self.stepper.choose_dt()
         self.stepper.running = True
