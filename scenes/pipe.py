@@ -125,10 +125,10 @@ def scene(
     positive("plug_ball", plug_ball, "m")
     positive("wall_scale", wall_scale)
     one_of("plug", plug, ("balls", "plate", "none"))
-    if travel is None:
-        travel = math.pi / 2 * elbow_radius
-    positive("travel", travel, "m")
     elbow = unit.startswith("elbow")
+    if travel is None:
+        travel = math.pi / 2 * elbow_radius if elbow else 2 * ramp if ramp > 0 else length
+    positive("travel", travel, "m")
     if elbow and travel > math.pi / 2 * elbow_radius * (1 + 1e-9):
         refuse("travel", travel, f"must not exceed the elbow's arc, {math.pi / 2 * elbow_radius:.6g} m")
     if elbow and elbow_radius <= diameter / 2:
@@ -258,6 +258,7 @@ def scene(
             "concrete_length": length,
             "unit": unit,
             "ramp": ramp,
+            "travel": travel,
             "velocity": velocity,
             "simplified": _simplifications(shapes),
             "paper": PAPER.get(unit, {}) if _is_reference(given) else {},
@@ -270,7 +271,7 @@ def check(run) -> dict[str, tuple[bool, str]]:
     result = run.result
     balance = result["momentum_balance_error"]
     travel = run.series["travel"][-1]
-    goal = run.scene.parameters["travel"] or math.pi / 2 * run.scene.parameters["elbow_radius"]
+    goal = run.scene.notes["travel"]
     overlap = result["largest_overlap"]
     positions = run.bodies.position
     offset = np.array([_distance_from_axis(run.scene.notes["axis"], x) for x in positions])
