@@ -55,7 +55,7 @@ def scene(
     velocity: Annotated[float, "steady piston velocity [m/s]"] = 0.3,
     ramp: Annotated[float, "piston travel over which the velocity rises linearly from rest [m]"] = 0.3,
     travel: Annotated[
-        float | None, "piston travel at the end [m]; default: the elbow's arc, pi/2 x elbow_radius"
+        float | None, "piston travel at the end [m]; default: twice the ramp; in elbows the arc, pi/2 x elbow_radius"
     ] = None,
     shapes: Annotated[
         str, "aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of closed meshes"

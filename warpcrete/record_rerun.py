@@ -11,7 +11,7 @@ from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_p
 from .errors import one_of, refuse
 from .simulation import Run, Simulation
 
-WALL_COLOURS = {"pipe": (150, 165, 180, 40), "piston": (190, 110, 60, 255)}
+WALL_COLOURS = {"pipe": (150, 165, 180, 22), "piston": (190, 110, 60, 255)}
 
 
 class RerunRecorder:
