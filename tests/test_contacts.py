@@ -20,17 +20,16 @@ K_WALL = MODULUS * math.pi * RADIUS  # L = r
 NO_GRAVITY = (0.0, 0.0, 0.0)
 
 
-def two_spheres(gap=0.0, velocity=(0.0, 0.0, 0.0), spins=None, contact=None, dt=1e-6, bonds=None, direction=(1, 0, 0)):
+def two_spheres(gap=0.0, velocity=(0.0, 0.0, 0.0), spins=None, contact=None, dt=1e-6, bonds=None, density=DENSITY):
     """Two equal spheres; the second one moves with `velocity` seen from the first."""
-    n = np.array(direction, float)
-    positions = np.outer([-0.5, 0.5], n) * (2 * RADIUS + gap)
+    positions = np.outer([-0.5, 0.5], [1.0, 0, 0]) * (2 * RADIUS + gap)
     velocities = np.outer([-0.5, 0.5], velocity)
     return Scene(
         name="two",
         duration=1.0,
         gravity=NO_GRAVITY,
         contact=contact or Contact(normal_damping_ratio=0.0, friction=0.0),
-        bodies=(Bodies(positions=positions, sizes=2 * RADIUS, density=DENSITY, velocities=velocities, spins=spins),),
+        bodies=(Bodies(positions=positions, sizes=2 * RADIUS, density=density, velocities=velocities, spins=spins),),
         time_step=TimeStep(fixed=dt),
         bonds=bonds,
     )
@@ -207,6 +206,27 @@ def test_shear_history_turns_with_the_pair(start, axis):
         worst = max(worst, abs(energy() - reference))
     # Measured against the energy of the vibration alone: 2e-3 across, 6e-4 along.
     assert worst < 1e-2 * moving
+
+
+@pytest.mark.parametrize("part", ["friction", "bond shear", "bond bending"])
+def test_history_turns_with_spin_about_the_normal(start, part):
+    # Both spheres spin about their common normal; they are too heavy to yield to the load, which turns with them.
+    rate, bonds = 50.0, Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12)
+    spins = np.tile([rate, 0.0, 0.0], (2, 1))
+    contact = Contact(friction=0.5, normal_damping_ratio=0.0)
+    gap = -1e-5
+    stepper = start(two_spheres(gap=gap, spins=spins, contact=contact, bonds=bonds, dt=1e-5, density=1e15))
+    stepper.bond(bonds, 1)
+    tiny = 1e-12
+    name = {"friction": "pair_shear", "bond shear": "pair_bond_force", "bond bending": "pair_bond_moment"}[part]
+    array = getattr(stepper.state, name)
+    value = array.numpy().copy()
+    value[0, 1] = tiny  # along y
+    array.assign(value)
+    quarter = round(math.pi / 2 / rate / stepper.dt)
+    stepper.take(quarter + 1)  # the first force is taken before anything turned
+    turned = getattr(stepper.state, name).numpy()[0][:3]
+    assert turned == pytest.approx([0.0, 0.0, tiny], abs=1e-3 * tiny)
 
 
 def small_packing(device):
