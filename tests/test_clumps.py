@@ -55,7 +55,7 @@ def test_reference_templates_are_four_centred_clumps_in_principal_axes():
         assert np.diag(inertia) / volume == pytest.approx(template.inertia, rel=1e-3)
 
 
-@pytest.mark.parametrize(("spheres", "tolerance"), [(8, 0.2), (40, 0.06)])
+@pytest.mark.parametrize(("spheres", "tolerance"), [(8, 0.1), (40, 0.04)])
 def test_mesh_is_covered_with_the_wanted_number_of_spheres(spheres, tolerance):
     box = trimesh.creation.box((0.03, 0.02, 0.015))
     template = clumps.from_mesh(box, spheres)
@@ -63,7 +63,7 @@ def test_mesh_is_covered_with_the_wanted_number_of_spheres(spheres, tolerance):
     volume, *_ = clumps.union_properties(template.offsets, template.radii)
     assert volume == pytest.approx(math.pi / 6, rel=1e-3)
     agreement = clumps.mesh_agreement(template, box)
-    assert agreement["inertia_error"] < tolerance  # measured 0.14 and 0.04
+    assert agreement["inertia_error"] < tolerance  # measured 0.07 and 0.03
 
 
 def test_open_mesh_is_refused():
@@ -121,9 +121,9 @@ def test_free_tumbling_keeps_energy_and_angular_momentum(start):
     size_mass = float(body.body_mass.numpy()[0]) * 0.02**2
     exact = 0.5 * size_mass * (moments * spin[0] ** 2).sum()
     energies = np.array(energies)
-    # The probe sees spin and orientation half a step apart: an oscillation of order dt, no drift.
-    assert np.abs(energies / exact - 1).max() < 5e-3
-    assert abs(energies[50:].mean() / energies[:50].mean() - 1) < 5e-4
+    # Spin and orientation are half a step apart when the probe reads them: a small oscillation, no drift.
+    assert np.abs(energies / exact - 1).max() < 3e-6  # measured 7e-7
+    assert abs(energies[50:].mean() / energies[:50].mean() - 1) < 1e-9  # measured 7e-12
     assert np.array(spins)[:, 1].min() < -10  # it did flip: the middle axis is unstable
 
 

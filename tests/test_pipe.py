@@ -69,7 +69,7 @@ def test_every_unit_pumps_and_balances_momentum(device, unit):
     assert run.finished and len(run.series["time"]) > 20
     for name, (passed, found) in sys.modules["warpcrete.scenes.pipe"].check(run).items():
         assert passed, f"{name}: {found}"
-    assert run.result["momentum_balance_error"] < 1e-4  # measured below 1e-6
+    assert run.result["momentum_balance_error"] < 1e-4  # measured 1e-7 straight, 2e-5 in elbows
     assert run.series["travel"][-1] == pytest.approx(0.08, abs=2e-4)
     # The concrete moves with the piston: its front is as far along the pipe.
     speed = np.linalg.norm(run.bodies.velocity, axis=1)
@@ -83,7 +83,7 @@ def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device
     ).run()
     area = math.pi * 0.04**2
     exact = 1000.0 + run.bodies.mass.sum() * 9.81 / area
-    assert run.result["plateau_pressure"]["value"] == pytest.approx(exact, rel=2e-3)
+    assert run.result["plateau_pressure"]["value"] == pytest.approx(exact, rel=1e-5)  # measured 2e-7
 
 
 def test_mesh_pipe_agrees_with_analytic_pipe(device):
