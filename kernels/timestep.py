@@ -14,7 +14,7 @@ from .contacts import decode
 from .geometry import axis_functions
 from .law_linear import law
 from .types import types, vector_functions
-from .walls import PLANE, wall_struct
+from .wall_motion import PLANE, wall_struct
 
 
 @functools.cache

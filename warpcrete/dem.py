@@ -13,7 +13,8 @@ from .kernels.bonds import bond_kernels
 from .kernels.contacts import contact_kernel
 from .kernels.timestep import timestep_kernels
 from .kernels.types import types
-from .kernels.walls import SPEED_LIMIT, advance_kernel, wall_kernel
+from .kernels.wall_motion import SPEED_LIMIT, advance_kernel
+from .kernels.walls import wall_kernel
 from .model import Model
 from .scene import Bonds, Driven, MeshWall
 from .state import State

@@ -15,7 +15,7 @@ from .errors import DeviceError, one_of, refuse
 from .kernels.geometry import axis_functions
 from .kernels.law_linear import DASHPOT_MODES, law
 from .kernels.types import types
-from .kernels.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
+from .kernels.wall_motion import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
 from .scene import Bonds, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}

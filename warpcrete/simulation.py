@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .errors import RunFolderError, WarpcreteError, positive
-from .kernels.walls import FIXED, PRESCRIBED
+from .kernels.wall_motion import FIXED, PRESCRIBED
 from .model import build_model, find_device
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
