@@ -386,6 +386,19 @@ def test_live_recording_reaches_a_running_viewer(tmp_path):
         server.wait(10)
 
 
+def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
+    folder = tmp_path / "run"
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"rerun+http://127.0.0.1:{free.getsockname()[1]}/proxy"
+    done = command("run", "pipe", *small_options(travel=0.005), "--out", folder, "--live", url, "--no-usd", "--quiet")
+    assert done.returncode == 0, done.stderr
+    checked = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")], capture_output=True
+    )
+    assert checked.returncode == 0 and (folder / "result.json").exists()
+
+
 def test_elbow_axis_goes_through_its_pieces():
     axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.5, math.pi / 2, (1, 0, 0)), Line(0.3)))
     points, tangents = axis.at([0.0, 0.5 * math.pi / 4, 0.5 * math.pi / 2, axis.length])

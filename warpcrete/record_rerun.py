@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_p
 from .errors import one_of, refuse
 from .simulation import Run, Simulation
 
+FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
 WALL_COLOURS = {"pipe": (150, 165, 180, 22), "piston": (190, 110, 60, 255)}
 
 
@@ -105,7 +107,11 @@ class RerunRecorder:
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
         if self._recording is not None:
-            self._recording.flush()
+            try:
+                self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
+            except (RuntimeError, ValueError) as error:
+                # A viewer that is not there must not hold up the run; the file has everything.
+                warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
             self._recording.disconnect()
 
     def _set_time(self, simulation: Simulation) -> None:
