@@ -48,7 +48,7 @@ def wall_struct(scalar):
 
 @functools.cache
 def advance_kernel(scalar):
-    """One thread a wall: collect the step's forces, move to the next time; thread 0 moves the clock."""
+    """One thread a wall: collect the step's forces, move to the next time."""
     t = types(scalar)
     Wall = wall_struct(scalar)
 
@@ -64,7 +64,6 @@ def advance_kernel(scalar):
     @wp.kernel(module="unique", enable_backward=False)
     def advance(
         walls: wp.array(dtype=Wall),
-        wall_count: wp.int32,
         rest_position: wp.array(dtype=wp.vec3d),
         clock: wp.array(dtype=wp.float64),
         flags: wp.array(dtype=wp.int32),
@@ -90,70 +89,69 @@ def advance_kernel(scalar):
         dt = clock[DT]
         # Forces act from the middle of the step before to the middle of this one.
         kick = wp.float64(0.5) * (dt + clock[DT_PREVIOUS])
-        if w < wall_count:
-            wall = walls[w]
-            unit = wp.float64(1.0) / clock[FORCE_SCALE]
-            f = wp.vec3d(
-                unit * wp.float64(step_force[w, 0]),
-                unit * wp.float64(step_force[w, 1]),
-                unit * wp.float64(step_force[w, 2]),
-            )
-            m = wp.vec3d(
-                unit * wp.float64(step_force[w, 3]),
-                unit * wp.float64(step_force[w, 4]),
-                unit * wp.float64(step_force[w, 5]),
-            )
-            for c in range(6):
-                step_force[w, c] = wp.int64(0)
-            force[w] = f
-            moment[w] = m
-            impulse[w] = impulse[w] + kick * f
-            angular_impulse[w] = angular_impulse[w] + kick * m
-            before = position_exact[w]
-            # Work done on the material, with the velocity of the middle of the step that ends here.
-            work[w] = work[w] - wp.float64(0.5) * clock[DT_PREVIOUS] * (
-                wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
-            )
-            now = clock[TIME] + dt - wall.start_time
-            if wall.motion == PRESCRIBED:
-                gone = ramped(now, wall.ramp_time)
-                angle = gone * wp.length(wall.spin)
-                after = rest_position[w]
-                if angle > wp.float64(0.0):
-                    q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
-                    after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
-                    orientation[w] = t.quat(q)
-                after += gone * wall.velocity  # the pivot travels along
-                rate = wp.float64(0.0)
-                if dt > wp.float64(0.0):
-                    rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
-                # Average over the step, as the particles' leapfrog velocities are.
-                spin[w] = t.vec3(rate * wall.spin)
-                position_exact[w] = after
-                velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
-                arm = wp.length(rest_position[w] - wall.pivot)
-                if wp.length(wall.velocity) > wp.float64(0.0):
-                    travel[w] = gone * wp.length(wall.velocity)
-                else:
-                    travel[w] = gone * wp.length(wall.spin) * arm
-            elif wall.motion == DRIVEN and now >= wp.float64(0.0):
-                direction = wp.normalize(wall.velocity)
-                speed = wp.dot(velocity_exact[w], direction)
-                push = wall.drive_force + wp.dot(f, direction)
-                # The damper acts on the mean of old and new speed, which is stable for any damping.
-                half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
-                speed = ((wp.float64(1.0) - half) * speed + kick * push / wall.mass) / (wp.float64(1.0) + half)
-                if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-                    flags[FAILED] = -1 - w
-                velocity_exact[w] = speed * direction
-                position_exact[w] = before + dt * speed * direction
-                travel[w] = travel[w] + dt * speed
-            position[w] = t.vec3(position_exact[w])
-            velocity[w] = t.vec3(velocity_exact[w])
-            work[w] = work[w] - wp.float64(0.5) * dt * (wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w])))
-            if wall.kind == MESH and wall.motion != FIXED:
-                moved[w] = moved[w] + dt * (wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent)
-                if moved[w] > wp.float64(0.5) * mesh_skin:
-                    flags[LATE] = 1
+        wall = walls[w]
+        unit = wp.float64(1.0) / clock[FORCE_SCALE]
+        f = wp.vec3d(
+            unit * wp.float64(step_force[w, 0]),
+            unit * wp.float64(step_force[w, 1]),
+            unit * wp.float64(step_force[w, 2]),
+        )
+        m = wp.vec3d(
+            unit * wp.float64(step_force[w, 3]),
+            unit * wp.float64(step_force[w, 4]),
+            unit * wp.float64(step_force[w, 5]),
+        )
+        for c in range(6):
+            step_force[w, c] = wp.int64(0)
+        force[w] = f
+        moment[w] = m
+        impulse[w] = impulse[w] + kick * f
+        angular_impulse[w] = angular_impulse[w] + kick * m
+        before = position_exact[w]
+        # Work done on the material, with the velocity of the middle of the step that ends here.
+        work[w] = work[w] - wp.float64(0.5) * clock[DT_PREVIOUS] * (
+            wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
+        )
+        now = clock[TIME] + dt - wall.start_time
+        if wall.motion == PRESCRIBED:
+            gone = ramped(now, wall.ramp_time)
+            angle = gone * wp.length(wall.spin)
+            after = rest_position[w]
+            if angle > wp.float64(0.0):
+                q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
+                after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
+                orientation[w] = t.quat(q)
+            after += gone * wall.velocity  # the pivot travels along
+            rate = wp.float64(0.0)
+            if dt > wp.float64(0.0):
+                rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
+            # Average over the step, as the particles' leapfrog velocities are.
+            spin[w] = t.vec3(rate * wall.spin)
+            position_exact[w] = after
+            velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
+            arm = wp.length(rest_position[w] - wall.pivot)
+            if wp.length(wall.velocity) > wp.float64(0.0):
+                travel[w] = gone * wp.length(wall.velocity)
+            else:
+                travel[w] = gone * wp.length(wall.spin) * arm
+        elif wall.motion == DRIVEN and now >= wp.float64(0.0):
+            direction = wp.normalize(wall.velocity)
+            speed = wp.dot(velocity_exact[w], direction)
+            push = wall.drive_force + wp.dot(f, direction)
+            # The damper acts on the mean of old and new speed, which is stable for any damping.
+            half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
+            speed = ((wp.float64(1.0) - half) * speed + kick * push / wall.mass) / (wp.float64(1.0) + half)
+            if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
+                flags[FAILED] = -1 - w
+            velocity_exact[w] = speed * direction
+            position_exact[w] = before + dt * speed * direction
+            travel[w] = travel[w] + dt * speed
+        position[w] = t.vec3(position_exact[w])
+        velocity[w] = t.vec3(velocity_exact[w])
+        work[w] = work[w] - wp.float64(0.5) * dt * (wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w])))
+        if wall.kind == MESH and wall.motion != FIXED:
+            moved[w] = moved[w] + dt * (wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent)
+            if moved[w] > wp.float64(0.5) * mesh_skin:
+                flags[LATE] = 1
 
     return advance

@@ -88,7 +88,7 @@ def step_stages(
                 advance_kernel(scalar),
                 len(model.walls),
                 [
-                    model.wall_table, len(model.walls), model.rest_position, state.clock, state.flags,
+                    model.wall_table, model.rest_position, state.clock, state.flags,
                     state.wall_step_force, state.wall_position_exact, state.wall_velocity_exact, state.wall_position,
                     state.wall_orientation, state.wall_velocity, state.wall_spin, state.wall_force,
                     state.wall_moment, state.wall_impulse, state.wall_angular_impulse, state.wall_travel,
