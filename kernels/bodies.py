@@ -29,7 +29,7 @@ def rotation_functions(scalar):
 
 
 @functools.cache
-def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool):
+def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool, losses: bool):
     """Kernel over bodies: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
     Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
@@ -69,6 +69,7 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool):
         scale: wp.array(dtype=scalar),
         force: wp.array(dtype=t.vec3),
         moment: wp.array(dtype=t.vec3),
+        sphere_lost: wp.array(dtype=wp.float64),
         body_position: wp.array(dtype=t.vec3),
         body_velocity: wp.array(dtype=t.vec3),
         body_spin: wp.array(dtype=t.vec3),
@@ -109,7 +110,11 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool):
         velocity = body_velocity[b]
         if local_damping > zero:
             for c in range(3):
-                total[c] = total[c] - local_damping * wp.abs(total[c]) * wp.sign(velocity[c])
+                against = local_damping * wp.abs(total[c])
+                if wp.static(losses):
+                    lost = wp.float64(against * wp.abs(velocity[c]) * kick)
+                    sphere_lost[first] = sphere_lost[first] + lost
+                total[c] = total[c] - against * wp.sign(velocity[c])
         velocity += total * (kick / mass)
         speed = wp.length(velocity)
         if not (speed <= speed_limit):
@@ -123,7 +128,11 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool):
         orientation = t.quat()
         if local_damping > zero:
             for c in range(3):
-                torque[c] = torque[c] - local_damping * wp.abs(torque[c]) * wp.sign(spin[c])
+                against = local_damping * wp.abs(torque[c])
+                if wp.static(losses):
+                    lost = wp.float64(against * wp.abs(spin[c]) * kick)
+                    sphere_lost[first] = sphere_lost[first] + lost
+                torque[c] = torque[c] - against * wp.sign(spin[c])
         if wp.static(clumps):
             inertia = body_inertia[b]
             q = body_orientation[b]

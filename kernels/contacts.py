@@ -10,7 +10,8 @@ import functools
 
 import warp as wp
 
-from .law_linear import UNBONDED, law
+from .bond_parallel import UNBONDED, bond_functions
+from .contact_law import contact_functions
 from .types import BROKEN_SHEAR, BROKEN_TENSION, DT_PREVIOUS, FAILED, STALE, types, vector_functions
 
 
@@ -23,21 +24,25 @@ def decode(entry: wp.int32):
 
 
 @functools.cache
-def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: bool):
-    """Kernel over spheres: adds contact forces [N] and moments about sphere centres [N m]."""
+def contact_kernel(scalar, law, half: bool, history: bool, bonds: bool, healing: bool, losses: bool):
+    """Kernel over spheres: adds contact forces [N] and moments about sphere centres [N m].
+
+    With `losses` it also adds up the energy that friction, dashpots and breaking bonds take [J].
+    """
     t = types(scalar)
-    functions = law(scalar)
-    ContactParameters = functions.ContactParameters
-    BondParameters = functions.BondParameters
-    linear_force = functions.linear_force
-    bond_force = functions.bond_force
+    Parameters = law(scalar).Parameters
+    contact_force = law(scalar).force
+    sphere_touch = contact_functions(scalar).sphere_touch
+    Bond = bond_functions(scalar).Bond
+    bond_force = bond_functions(scalar).bond_force
+    bond_energy = bond_functions(scalar).bond_energy
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
 
     @wp.kernel(module="unique", enable_backward=False)
     def contacts(
-        contact_parameters: wp.array(dtype=ContactParameters),
-        bond_parameters: wp.array(dtype=BondParameters),
+        contact_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
         materials: wp.int32,
         sphere_position: wp.array(dtype=t.vec4),
         sphere_velocity: wp.array(dtype=t.vec4),
@@ -47,12 +52,13 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
         pair_other: wp.array(dtype=wp.int32),
         clock: wp.array(dtype=wp.float64),
         flags: wp.array(dtype=wp.int32),
-        pair_shear: wp.array(dtype=t.vec3),
+        pair_history: wp.array(dtype=t.vec3),
         pair_bond: wp.array(dtype=wp.int32),
         pair_bond_force: wp.array(dtype=t.vec4),
         pair_bond_moment: wp.array(dtype=t.vec4),
         force: wp.array(dtype=t.vec3),
         moment: wp.array(dtype=t.vec3),
+        sphere_lost: wp.array(dtype=wp.float64),
     ):
         i = wp.tid()
         if flags[STALE] != 0 or flags[FAILED] != 0:
@@ -64,6 +70,7 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
         row = sphere_material[i] * materials
         force_i = t.vec3()
         moment_i = t.vec3()
+        lost_i = wp.float64(0.0)
         for k in range(pair_start[i], pair_start[i + 1]):
             entry = pair_other[k]
             j = decode(entry)
@@ -104,18 +111,16 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                 apart = sign * (xyz(velocity_j) - xyz(velocity_i))
                 velocity = apart - wp.cross(arm_a * spin_a + arm_b * spin_b, n)
                 twist = scalar(0.5) * dt * wp.dot(spin_a + spin_b, n)
-                radius = wp.min(position_i[3], position_j[3])
-                mass = mass_a * mass_b / (mass_a + mass_b)
+                touch = sphere_touch(n, gap, velocity, twist, position_i[3], position_j[3], mass_a, mass_b)
 
-                shear = t.vec3()
-                if wp.static(friction):
-                    shear = pair_shear[k]
-                total, new_shear = linear_force(
-                    contact_parameters[row + sphere_material[j]],
-                    n, gap, velocity, twist, radius, reach, mass, shear, dt,
-                )  # fmt: skip
-                if wp.static(friction):
-                    pair_shear[k] = new_shear
+                old_history = t.vec3()
+                if wp.static(history):
+                    old_history = pair_history[k]
+                total, new_history, lost = contact_force(
+                    contact_parameters[row + sphere_material[j]], touch, old_history, dt
+                )
+                if wp.static(history):
+                    pair_history[k] = new_history
                 bond_moment = t.vec3()
                 if wp.static(bonds):
                     if wp.static(healing):
@@ -128,12 +133,9 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                         before = distance * n - way
                         stretch = wp.dot(way, distance * n + before) / (distance + wp.length(before))
                         held_force, held_moment, outcome = bond_force(
-                            bond_parameters[bond],
-                            n, stretch, velocity, spin_b - spin_a, twist, radius, reach,
+                            bond_parameters[bond], touch, stretch, spin_b - spin_a,
                             pair_bond_force[k], pair_bond_moment[k], dt,
                         )  # fmt: skip
-                        pair_bond_force[k] = held_force
-                        pair_bond_moment[k] = held_moment
                         if outcome < 0:
                             pair_bond[k] = outcome
                             if wp.static(half) or entry >= 0:
@@ -141,12 +143,21 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                                     wp.atomic_add(flags, BROKEN_TENSION, 1)
                                 else:
                                     wp.atomic_add(flags, BROKEN_SHEAR, 1)
+                            if wp.static(losses):
+                                lost += bond_energy(bond_parameters[bond], touch, held_force, held_moment)
+                            held_force = t.vec4()
+                            held_moment = t.vec4()
                             # A bond that breaks may leave a pair that no longer touches: the linear
                             # part's dashpot must not outlive it.
                             if not touching:
                                 total = t.vec3()
+                        pair_bond_force[k] = held_force
+                        pair_bond_moment[k] = held_moment
                         total = total + xyz(held_force) + held_force[3] * n
                         bond_moment = xyz(held_moment) + held_moment[3] * n
+                if wp.static(losses):
+                    if wp.static(half) or entry >= 0:
+                        lost_i += wp.float64(lost)
                 turn = wp.cross(n, total)
                 force_i = force_i + sign * total
                 moment_i = moment_i + arm_i * turn + sign * bond_moment
@@ -154,11 +165,13 @@ def contact_kernel(scalar, half: bool, friction: bool, bonds: bool, healing: boo
                     force[j] = force[j] - sign * total
                     moment[j] = moment[j] + arm_j * turn - sign * bond_moment
             else:
-                if wp.static(friction):
-                    pair_shear[k] = t.vec3()
+                if wp.static(history):
+                    pair_history[k] = t.vec3()
                 if wp.static(healing):
                     if bond < 0:
                         pair_bond[k] = 0  # parted: may bond again at the next touch
+        if wp.static(losses):
+            sphere_lost[i] = sphere_lost[i] + lost_i
         force[i] = force[i] + force_i
         moment[i] = moment[i] + moment_i
 

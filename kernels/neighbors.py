@@ -70,7 +70,7 @@ def sphere_order(
 
 
 @functools.cache
-def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
+def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
     """Kernels of one list layout: ``centres``, ``count``, ``fill``, ``cell_keys``.
 
     In the half list the larger sphere of a pair holds it (the lower place of two equal ones), so a search
@@ -138,14 +138,14 @@ def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
             new_place: wp.array(dtype=wp.int32),
             old_start: wp.array(dtype=wp.int32),
             old_other: wp.array(dtype=wp.int32),
-            old_shear: wp.array(dtype=t.vec3),
+            old_history: wp.array(dtype=t.vec3),
             old_bond: wp.array(dtype=wp.int32),
             old_bond_force: wp.array(dtype=t.vec4),
             old_bond_moment: wp.array(dtype=t.vec4),
             start: wp.array(dtype=wp.int32),
             count: wp.array(dtype=wp.int32),
             other: wp.array(dtype=wp.int32),
-            shear: wp.array(dtype=t.vec3),
+            pair_history: wp.array(dtype=t.vec3),
             bond: wp.array(dtype=wp.int32),
             bond_force: wp.array(dtype=t.vec4),
             bond_moment: wp.array(dtype=t.vec4),
@@ -172,13 +172,13 @@ def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
                                 other[k] = j
                             else:
                                 other[k] = -1 - j
-                            if wp.static(friction or bonds):
+                            if wp.static(history or bonds):
                                 old = find(old_start, old_other, old_i, old_place[j])
-                                if wp.static(friction):
+                                if wp.static(history):
                                     if old >= 0:
-                                        shear[k] = old_shear[old]
+                                        pair_history[k] = old_history[old]
                                     else:
-                                        shear[k] = t.vec3()
+                                        pair_history[k] = t.vec3()
                                 if wp.static(bonds):
                                     if old >= 0:
                                         bond[k] = old_bond[old]
@@ -203,8 +203,8 @@ def neighbor_kernels(scalar, half: bool, friction: bool, bonds: bool):
                                     other[k] = j
                                 else:
                                     other[k] = -1 - j
-                                if wp.static(friction):
-                                    shear[k] = old_shear[old]
+                                if wp.static(history):
+                                    pair_history[k] = old_history[old]
                                 bond[k] = old_bond[old]
                                 bond_force[k] = old_bond_force[old]
                                 bond_moment[k] = old_bond_moment[old]

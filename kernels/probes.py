@@ -4,42 +4,41 @@ import functools
 
 import warp as wp
 
+from .bond_parallel import bond_functions
+from .contact_law import contact_functions
 from .contacts import decode
 from .geometry import axis_functions
-from .law_linear import law
-from .types import types, vector_functions
+from .types import DT_PREVIOUS, types, vector_functions
 from .wall_motion import PLANE, wall_struct
 
 # Columns of the per-sphere contact sums.
-CONTACTS = 0  # touching pairs
-OVERLAP_SUM = 1  # of overlap over the smaller radius
-OVERLAP_MAX = 2
-ELASTIC_ENERGY = 3  # [J], springs
-BOND_ENERGY = 4  # [J]
-BONDED = 5  # pairs with a bond
-VIRIAL = 6  # sum of normal spring force times branch vector of the bodies [J]
-BONDED_HYDRATED = 7  # pairs with a bond of the second kind
-CONTACT_COLUMNS = 8
+CONTACTS = wp.constant(0)  # touching pairs
+OVERLAP_SUM = wp.constant(1)  # of overlap over the smaller radius
+OVERLAP_MAX = wp.constant(2)
+ELASTIC_ENERGY = wp.constant(3)  # [J], springs, walls included, at the middle of the last step
+BOND_ENERGY = wp.constant(4)  # [J]
+BONDED = wp.constant(5)  # pairs with a bond
+VIRIAL = wp.constant(6)  # sum of normal spring force times branch vector of the bodies [J]
+BONDED_HYDRATED = wp.constant(7)  # pairs with a bond of the second kind
+DEPTH_MAX = wp.constant(
+    8
+)  # overlap over what swallows a sphere whole or halves the centres' distance; on walls over the radius
+CONTACT_COLUMNS = wp.constant(9)
 
 # Columns of the per-body sums.
-KINETIC = 0  # [J], at the middle of the last step
-POTENTIAL = 1  # [J], gravity, from the origin
-MOMENTUM = 2  # ..4 [kg m/s], at the middle of the last step
-LIFT = 5  # ..7 sum of mass times position [kg m]
-DRIVEN = 8  # ..10 sum of axis drive forces [N]
-BODY_COLUMNS = 11
+KINETIC = wp.constant(0)  # [J], at the middle of the last step
+POTENTIAL = wp.constant(1)  # [J], gravity, from the origin, at the middle of the last step
+MOMENTUM = wp.constant(2)  # ..4 [kg m/s], at the middle of the last step
+LIFT = wp.constant(5)  # ..7 sum of mass times position [kg m]
+DRIVEN = wp.constant(8)  # ..10 sum of axis drive forces [N]
+DRIVE_POWER = wp.constant(11)  # of the axis drives [W]
+BODY_COLUMNS = wp.constant(12)
 
 
 @functools.cache
-def probe_kernels(scalar, half: bool, friction: bool, bonds: bool):
-    """Kernels ``measure_bodies`` and ``measure_contacts``."""
+def body_probe(scalar):
+    """Kernel over bodies: a row of values each, in the order of permanent numbers."""
     t = types(scalar)
-    functions = law(scalar)
-    ContactParameters = functions.ContactParameters
-    BondParameters = functions.BondParameters
-    normal_stiffness = functions.normal_stiffness
-    xyz = vector_functions(scalar).xyz
-    Wall = wall_struct(scalar)
     axis = axis_functions(scalar)
     Segment = axis.Segment
     closest_on_axis = axis.closest_on_axis
@@ -58,121 +57,162 @@ def probe_kernels(scalar, half: bool, friction: bool, bonds: bool):
         body_spin: wp.array(dtype=t.vec3),
         body_orientation: wp.array(dtype=t.quat),
         body_id: wp.array(dtype=wp.int32),
+        clock: wp.array(dtype=wp.float64),
         values: wp.array2d(dtype=wp.float64),
     ):
         b = wp.tid()
-        row = body_id[b]  # summed in the order of permanent numbers
+        row = body_id[b]
+        half = wp.float64(0.5)
         mass = wp.float64(body_mass[b])
         x = wp.vec3d(body_position[b])
         v = wp.vec3d(body_velocity[b])
         local = wp.vec3d(wp.quat_rotate_inv(body_orientation[b], body_spin[b]))
         turning = wp.dot(wp.cw_mul(wp.vec3d(body_inertia[b]), local), local)
-        values[row, 0] = wp.float64(0.5) * (mass * wp.dot(v, v) + turning)
-        values[row, 1] = -mass * wp.dot(wp.vec3d(gravity), x)
+        values[row, KINETIC] = half * (mass * wp.dot(v, v) + turning)
+        values[row, POTENTIAL] = -mass * wp.dot(wp.vec3d(gravity), x - half * clock[DT_PREVIOUS] * v)
         driven = wp.vec3d()
         group = body_group[b]
         if group > 0 and drive_axis[group, 1] > drive_axis[group, 0]:
             offset, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], body_position[b])
             driven = wp.vec3d(drive_force[group] * tangent)
         for c in range(3):
-            values[row, 2 + c] = mass * v[c]
-            values[row, 5 + c] = mass * x[c]
-            values[row, 8 + c] = driven[c]
+            values[row, MOMENTUM + c] = mass * v[c]
+            values[row, LIFT + c] = mass * x[c]
+            values[row, DRIVEN + c] = driven[c]
+        values[row, DRIVE_POWER] = wp.dot(driven, v)
+
+    return measure_bodies
+
+
+@functools.cache
+def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
+    """Kernel over spheres: a row of values each, in the order of permanent numbers, and each pair's normal force."""
+    t = types(scalar)
+    PairParameters = pair_law(scalar).Parameters
+    WallParameters = wall_law(scalar).Parameters
+    pair_energy = pair_law(scalar).energy
+    pair_force = pair_law(scalar).force
+    wall_energy = wall_law(scalar).energy
+    sphere_touch = contact_functions(scalar).sphere_touch
+    wall_touch = contact_functions(scalar).wall_touch
+    Bond = bond_functions(scalar).Bond
+    bond_energy = bond_functions(scalar).bond_energy
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+    Wall = wall_struct(scalar)
+    axis = axis_functions(scalar)
+    Segment = axis.Segment
+    closest_on_axis = axis.closest_on_axis
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_contacts(
-        contact_parameters: wp.array(dtype=ContactParameters),
-        bond_parameters: wp.array(dtype=BondParameters),
+        pair_parameters: wp.array(dtype=PairParameters),
+        wall_parameters: wp.array(dtype=WallParameters),
+        bond_parameters: wp.array(dtype=Bond),
         materials: wp.int32,
         walls: wp.array(dtype=Wall),
         analytic: wp.int32,
         segments: wp.array(dtype=Segment),
         wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat),
-        slot_shear: wp.array2d(dtype=t.vec3),
+        wall_velocity: wp.array(dtype=t.vec3),
+        slot_history: wp.array2d(dtype=t.vec3),
+        slot_normal: wp.array2d(dtype=t.vec3),
         slot_overlap: wp.array2d(dtype=scalar),
         slot_wall: wp.array2d(dtype=wp.int32),
         body_position: wp.array(dtype=t.vec3),
         sphere_body: wp.array(dtype=wp.int32),
         sphere_id: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
+        sphere_velocity: wp.array(dtype=t.vec4),
         sphere_material: wp.array(dtype=wp.int32),
         pair_start: wp.array(dtype=wp.int32),
         pair_other: wp.array(dtype=wp.int32),
-        pair_shear: wp.array(dtype=t.vec3),
+        pair_history: wp.array(dtype=t.vec3),
         pair_bond: wp.array(dtype=wp.int32),
         pair_bond_force: wp.array(dtype=t.vec4),
         pair_bond_moment: wp.array(dtype=t.vec4),
+        clock: wp.array(dtype=wp.float64),
         values: wp.array2d(dtype=wp.float64),
+        pair_normal_force: wp.array(dtype=scalar),
     ):
         i = wp.tid()
+        zero = scalar(0.0)
+        half_step = scalar(0.5) * scalar(clock[DT_PREVIOUS])
         row = sphere_id[i]
-        for c in range(8):
+        for c in range(CONTACT_COLUMNS):
             values[row, c] = wp.float64(0.0)
         xi = xyz(sphere_position[i])
         radius_i = sphere_position[i][3]
+        velocity_i = xyz(sphere_velocity[i])
+        mass_i = sphere_velocity[i][3]
+        material = sphere_material[i] * materials
         for k in range(pair_start[i], pair_start[i + 1]):
             entry = pair_other[k]
+            j = decode(entry)
+            radius_j = sphere_position[j][3]
+            smaller = wp.min(radius_i, radius_j)
+            offset = xyz(sphere_position[j]) - xi
+            overlap = radius_i + radius_j - wp.length(offset)
+            pair_normal_force[k] = zero
             if wp.static(half) or entry >= 0:
-                j = decode(entry)
-                radius_j = sphere_position[j][3]
-                length = radius_i + radius_j
-                smaller = wp.min(radius_i, radius_j)
-                offset = xyz(sphere_position[j]) - xi
-                distance = wp.length(offset)
-                overlap = length - distance
-                if overlap > scalar(0.0):
-                    p = contact_parameters[sphere_material[i] * materials + sphere_material[j]]
-                    kn = normal_stiffness(p, smaller, length)
-                    energy = scalar(0.5) * kn * overlap * overlap
-                    if wp.static(friction):
-                        energy += scalar(0.5) * wp.length_sq(pair_shear[k]) / (kn * p.shear_to_normal)
+                n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
+                middle = half_step * wp.dot(xyz(sphere_velocity[j]) - velocity_i, n) + overlap
+                p = pair_parameters[material + sphere_material[j]]
+                mass_j = sphere_velocity[j][3]
+                if overlap > zero:
                     relative = wp.float64(overlap / smaller)
-                    values[row, 0] = values[row, 0] + wp.float64(1.0)
-                    values[row, 1] = values[row, 1] + relative
-                    values[row, 2] = wp.max(values[row, 2], relative)
-                    values[row, 3] = values[row, 3] + wp.float64(energy)
+                    values[row, CONTACTS] = values[row, CONTACTS] + wp.float64(1.0)
+                    values[row, OVERLAP_SUM] = values[row, OVERLAP_SUM] + relative
+                    values[row, OVERLAP_MAX] = wp.max(values[row, OVERLAP_MAX], relative)
+                    deep = wp.float64(overlap / wp.min(scalar(2.0) * smaller, scalar(0.5) * (radius_i + radius_j)))
+                    values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], deep)
+                    touch = sphere_touch(n, -overlap, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
+                    push, unused, unused_loss = pair_force(p, touch, t.vec3(), zero)
+                    pair_normal_force[k] = -wp.dot(push, n)
                     branch = body_position[sphere_body[j]] - body_position[sphere_body[i]]
-                    if distance > scalar(0.0):
-                        work = kn * overlap * wp.dot(branch, offset) / distance
-                        values[row, 6] = values[row, 6] + wp.float64(work)
+                    values[row, VIRIAL] = values[row, VIRIAL] - wp.float64(wp.dot(push, n) * wp.dot(branch, n))
+                if middle > zero:
+                    held = t.vec3()
+                    if wp.static(history):
+                        held = pair_history[k]
+                    touch = sphere_touch(n, -middle, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
+                    values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(pair_energy(p, touch, held))
                 if wp.static(bonds):
                     if pair_bond[k] > 0:
+                        touch = sphere_touch(n, zero, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
                         b = bond_parameters[pair_bond[k]]
-                        r = b.radius_multiplier * smaller
-                        area = scalar(3.141592653589793) * r * r
-                        inertia = scalar(0.25) * area * r * r
-                        stiffness = b.effective_modulus / length
-                        f = pair_bond_force[k]
-                        m = pair_bond_moment[k]
-                        energy = f[3] * f[3] / area + wp.length_sq(xyz(f)) / (area * b.shear_to_normal)
-                        energy += wp.length_sq(xyz(m)) / inertia
-                        energy += m[3] * m[3] / (scalar(2.0) * inertia * b.shear_to_normal)
-                        values[row, 4] = values[row, 4] + wp.float64(scalar(0.5) * energy / stiffness)
-                        values[row, 5] = values[row, 5] + wp.float64(1.0)
+                        stored = bond_energy(b, touch, pair_bond_force[k], pair_bond_moment[k])
+                        values[row, BOND_ENERGY] = values[row, BOND_ENERGY] + wp.float64(stored)
+                        values[row, BONDED] = values[row, BONDED] + wp.float64(1.0)
                         if pair_bond[k] == 2:
-                            values[row, 7] = values[row, 7] + wp.float64(1.0)
-        for w in range(analytic):
-            distance = scalar(0.0)
-            if walls[w].kind == PLANE:
-                n = wp.quat_rotate(wall_orientation[w], walls[w].normal)
-                distance = wp.dot(xi - wall_position[w], n)
+                            values[row, BONDED_HYDRATED] = values[row, BONDED_HYDRATED] + wp.float64(1.0)
+        for slot in range(slot_wall.shape[1]):
+            w = slot
+            n = t.vec3()  # into the wall
+            overlap = scalar(-1.0)
+            towards = half_step
+            if slot < analytic:
+                if walls[w].kind == PLANE:
+                    n = -wp.quat_rotate(wall_orientation[w], walls[w].normal)
+                    overlap = radius_i + wp.dot(xi - wall_position[w], n)
+                else:
+                    offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, xi - wall_position[w])
+                    n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
+                    overlap = radius_i + wp.length(offset) - walls[w].radius
             else:
-                offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, xi - wall_position[w])
-                distance = walls[w].radius - wp.length(offset)
-            overlap = radius_i - distance
-            if overlap > scalar(0.0):
-                p = contact_parameters[sphere_material[i] * materials + walls[w].material]
-                kn = normal_stiffness(p, radius_i, radius_i)
-                energy = kn * overlap * overlap + wp.length_sq(slot_shear[i, w]) / (kn * p.shear_to_normal)
-                values[row, 3] = values[row, 3] + wp.float64(scalar(0.5) * energy)
+                w = slot_wall[i, slot]
+                towards = -half_step  # a mesh's overlap is that of the step's start
+                if w >= 0:
+                    n = slot_normal[i, slot]
+                    overlap = slot_overlap[i, slot]
+            if w >= 0:
+                middle = overlap + towards * wp.dot(wall_velocity[w] - velocity_i, n)
+                values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], wp.float64(overlap / radius_i))
+                if middle > zero and wp.length_sq(n) > zero:
+                    touch = wall_touch(n, -middle, t.vec3(), zero, radius_i, mass_i)
+                    p_wall = wall_parameters[material + walls[w].material]
+                    stored = wall_energy(p_wall, touch, slot_history[i, slot])
+                    values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(stored)
 
-        for s in range(analytic, slot_wall.shape[1]):
-            if slot_wall[i, s] >= 0:
-                p = contact_parameters[sphere_material[i] * materials + walls[slot_wall[i, s]].material]
-                kn = normal_stiffness(p, radius_i, radius_i)
-                energy = kn * slot_overlap[i, s] * slot_overlap[i, s]
-                energy += wp.length_sq(slot_shear[i, s]) / (kn * p.shear_to_normal)
-                values[row, 3] = values[row, 3] + wp.float64(scalar(0.5) * energy)
-
-    return measure_bodies, measure_contacts
+    return measure_contacts

@@ -12,8 +12,8 @@ import math
 
 import warp as wp
 
+from .contact_law import contact_functions
 from .geometry import axis_functions, triangle_functions
-from .law_linear import law
 from .types import DT_PREVIOUS, FAILED, FORCE_SCALE, OVERFLOW, STALE, types, vector_functions
 from .wall_motion import PLANE, wall_struct
 
@@ -22,8 +22,8 @@ MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time; more sets OV
 
 
 @functools.cache
-def wall_kernel(scalar, meshes: bool):
-    """Kernel over spheres: adds wall forces to spheres and, in fixed point, to the walls.
+def wall_kernel(scalar, law, meshes: bool, losses: bool):
+    """Kernel over spheres: adds wall forces to spheres and, in fixed point, to the walls; `losses` as for contacts.
 
     Fixed-point sums (int64, `clock[FORCE_SCALE]` units per newton) give the same bits in any order.
     Contact slots of a sphere: one for each plane or pipe, then, with meshes, MESH_SLOTS for all of them.
@@ -34,9 +34,9 @@ def wall_kernel(scalar, meshes: bool):
     Segment = axis.Segment
     closest_on_axis = axis.closest_on_axis
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
-    functions = law(scalar)
-    ContactParameters = functions.ContactParameters
-    linear_force = functions.linear_force
+    Parameters = law(scalar).Parameters
+    contact_force = law(scalar).force
+    wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
     slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
@@ -95,7 +95,7 @@ def wall_kernel(scalar, meshes: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def wall_contacts(
-        contact_parameters: wp.array(dtype=ContactParameters),
+        contact_parameters: wp.array(dtype=Parameters),
         materials: wp.int32,
         walls: wp.array(dtype=Wall),
         analytic: wp.int32,
@@ -118,13 +118,14 @@ def wall_kernel(scalar, meshes: bool):
         sphere_material: wp.array(dtype=wp.int32),
         clock: wp.array(dtype=wp.float64),
         flags: wp.array(dtype=wp.int32),
-        slot_shear: wp.array2d(dtype=t.vec3),
+        slot_history: wp.array2d(dtype=t.vec3),
         slot_normal: wp.array2d(dtype=t.vec3),
         slot_overlap: wp.array2d(dtype=scalar),
         slot_wall: wp.array2d(dtype=wp.int32),
         force: wp.array(dtype=t.vec3),
         moment: wp.array(dtype=t.vec3),
         step_force: wp.array2d(dtype=wp.int64),
+        sphere_lost: wp.array(dtype=wp.float64),
     ):
         i = wp.tid()
         if flags[STALE] != 0 or flags[FAILED] != 0:
@@ -138,6 +139,7 @@ def wall_kernel(scalar, meshes: bool):
         row = sphere_material[i] * materials
         total_force = t.vec3()
         total_moment = t.vec3()
+        total_lost = wp.float64(0.0)
         for w in range(analytic):
             kind = walls[w].kind
             distance = scalar(0.0)
@@ -157,16 +159,17 @@ def wall_kernel(scalar, meshes: bool):
                 surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
                 relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
                 twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
-                f, shear = linear_force(
-                    contact_parameters[row + walls[w].material],
-                    n, gap, relative, twist, radius, radius, velocity[3], slot_shear[i, w], dt,
-                )  # fmt: skip
-                slot_shear[i, w] = shear
+                touch = wall_touch(n, gap, relative, twist, radius, velocity[3])
+                f, new_history, lost = contact_force(
+                    contact_parameters[row + walls[w].material], touch, slot_history[i, w], dt
+                )
+                slot_history[i, w] = new_history
+                total_lost += wp.float64(lost)
                 total_force += f
                 total_moment += wp.cross(arm * n, f)
                 add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
-            elif wp.length_sq(slot_shear[i, w]) > scalar(0.0):
-                slot_shear[i, w] = t.vec3()
+            elif wp.length_sq(slot_history[i, w]) > scalar(0.0):
+                slot_history[i, w] = t.vec3()
         if wp.static(meshes):
             first = candidate_start[i]
             last = candidate_start[i + 1]
@@ -218,29 +221,28 @@ def wall_kernel(scalar, meshes: bool):
                         elif gap < gaps[place]:
                             normals[place] = n
                             gaps[place] = gap
-            shears = slots_matrix()
+            histories = slots_matrix()
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
                 # History belongs to the old contact on this wall with the nearest normal.
-                shear = t.vec3()
+                history = t.vec3()
                 best = scalar(wp.static(merge_cosine))
                 for o in range(MESH_SLOTS):
                     if slot_wall[i, analytic + o] == w:
                         c = wp.dot(slot_normal[i, analytic + o], n)
                         if c > best:
                             best = c
-                            shear = slot_shear[i, analytic + o]
+                            history = slot_history[i, analytic + o]
                 arm = radius + gaps[s]
                 point = x + arm * n
                 surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
                 relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
                 twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
-                f, new_shear = linear_force(
-                    contact_parameters[row + walls[w].material],
-                    n, gaps[s], relative, twist, radius, radius, velocity[3], shear, dt,
-                )  # fmt: skip
-                shears[s] = new_shear
+                touch = wall_touch(n, gaps[s], relative, twist, radius, velocity[3])
+                f, new_history, lost = contact_force(contact_parameters[row + walls[w].material], touch, history, dt)
+                histories[s] = new_history
+                total_lost += wp.float64(lost)
                 total_force += f
                 total_moment += wp.cross(arm * n, f)
                 add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
@@ -250,11 +252,13 @@ def wall_kernel(scalar, meshes: bool):
                         slot_wall[i, analytic + s] = owners[s]
                         slot_normal[i, analytic + s] = normals[s]
                         slot_overlap[i, analytic + s] = -gaps[s]
-                        slot_shear[i, analytic + s] = shears[s]
+                        slot_history[i, analytic + s] = histories[s]
                     else:
                         slot_wall[i, analytic + s] = -1
         force[i] = force[i] + total_force
         moment[i] = moment[i] + total_moment
+        if wp.static(losses):
+            sphere_lost[i] = sphere_lost[i] + total_lost
 
     return wall_contacts
 

@@ -42,7 +42,7 @@ def pair_history(state) -> dict:
     start, other = state.pair_start.numpy(), state.pair_other.numpy()
     ids = state.sphere_id.numpy()
     features = state.model.features
-    arrays = [state.pair_shear.numpy()] if features.friction else []
+    arrays = [state.pair_history.numpy()] if features.history else []
     if features.bonds:
         arrays += [a.numpy() for a in (state.pair_bond, state.pair_bond_force, state.pair_bond_moment)]
     result = {}

@@ -218,7 +218,7 @@ def test_history_turns_with_spin_about_the_normal(start, part):
     stepper = start(two_spheres(gap=gap, spins=spins, contact=contact, bonds=bonds, dt=1e-5, density=1e15))
     stepper.bond(bonds, 1)
     tiny = 1e-12
-    name = {"friction": "pair_shear", "bond shear": "pair_bond_force", "bond bending": "pair_bond_moment"}[part]
+    name = {"friction": "pair_history", "bond shear": "pair_bond_force", "bond bending": "pair_bond_moment"}[part]
     array = getattr(stepper.state, name)
     value = array.numpy().copy()
     value[0, 1] = tiny  # along y

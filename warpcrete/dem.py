@@ -55,13 +55,13 @@ def step_stages(
     sphere_share = 0.5 * mesh_skin if moving_mesh else mesh_skin
     stages = [
         Stage(
-            contact_kernel(scalar, f.half_list, f.friction, f.bonds, f.healing),
+            contact_kernel(scalar, f.pair_law, f.half_list, f.history, f.bonds, f.healing, f.losses),
             state.sphere_count,
             [
-                model.contact_parameters, model.bond_parameters, model.material_count, state.sphere_position,
+                model.pair_parameters, model.bond_parameters, model.material_count, state.sphere_position,
                 state.sphere_velocity, state.sphere_spin, state.sphere_material, state.pair_start, state.pair_other,
-                state.clock, state.flags, state.pair_shear, state.pair_bond, state.pair_bond_force,
-                state.pair_bond_moment, state.force, state.moment,
+                state.clock, state.flags, state.pair_history, state.pair_bond, state.pair_bond_force,
+                state.pair_bond_moment, state.force, state.moment, state.sphere_lost,
             ],
             device,
         )
@@ -69,16 +69,16 @@ def step_stages(
     if f.walls:
         stages.append(
             Stage(
-                wall_kernel(scalar, f.meshes),
+                wall_kernel(scalar, f.wall_law, f.meshes, f.losses),
                 state.sphere_count,
                 [
-                    model.contact_parameters, model.material_count, model.wall_table, model.analytic_walls,
+                    model.wall_parameters, model.material_count, model.wall_table, model.analytic_walls,
                     model.segments, state.wall_position, state.wall_orientation, state.wall_velocity, state.wall_spin,
                     model.corners, model.faces, model.face_across, model.ring_start, model.ring, model.face_wall,
                     state.candidate_start, state.candidate_face, state.sphere_position, state.sphere_velocity,
-                    state.sphere_spin, state.sphere_material, state.clock, state.flags, state.slot_shear,
+                    state.sphere_spin, state.sphere_material, state.clock, state.flags, state.slot_history,
                     state.slot_normal, state.slot_overlap, state.slot_wall, state.force, state.moment,
-                    state.wall_step_force,
+                    state.wall_step_force, state.sphere_lost,
                 ],
                 device,
             )
@@ -99,13 +99,14 @@ def step_stages(
         )  # fmt: skip
     stages.append(
         Stage(
-            body_kernel(scalar, f.clumps, f.drives, f.growth, f.meshes),
+            body_kernel(scalar, f.clumps, f.drives, f.growth, f.meshes, f.losses),
             state.body_count,
             [
                 gravity, local_damping, SPEED_LIMIT, model.segments, model.drive_axis, model.drive_force,
                 state.body_group, state.body_mass, state.body_inertia, state.body_first, state.sphere_offset,
                 state.sphere_built, state.reference_velocity, skin, sphere_share, growth_rate, growth_end, state.clock,
-                state.flags, state.scale, state.force, state.moment, state.body_position, state.body_velocity,
+                state.flags, state.scale, state.force, state.moment, state.sphere_lost, state.body_position,
+                state.body_velocity,
                 state.body_spin, state.body_orientation, state.body_angular_momentum, state.sphere_position,
                 state.sphere_velocity, state.sphere_spin,
             ],
@@ -122,10 +123,8 @@ class StableStep:
 
     def __init__(self, model: Model, state: State) -> None:
         f = model.features
-        self._gather, self._reduce = timestep_kernels(model.scalar, f.half_list, f.bonds)
-        mat33 = types(model.scalar).mat33
-        self._translation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
-        self._rotation = wp.zeros(state.sphere_count, dtype=mat33, device=model.device)
+        self._gather, self._reduce = timestep_kernels(model.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds)
+        self._sums = wp.zeros((state.sphere_count, 4), dtype=types(model.scalar).mat33, device=model.device)
         self._wall_load = wp.zeros((len(model.walls), 2), dtype=wp.int64, device=model.device)
         self._driven = [(w, wall.motion) for w, wall in enumerate(model.walls) if isinstance(wall.motion, Driven)]
         self._smallest = wp.zeros(1, dtype=wp.float64, device=model.device)
@@ -141,12 +140,11 @@ class StableStep:
             self._gather,
             dim=state.sphere_count,
             inputs=[
-                model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
-                model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
-                state.body_position, state.body_mass, state.sphere_body, state.sphere_position,
-                state.sphere_material, state.slot_wall, state.slot_normal, state.pair_start, state.pair_other,
-                state.pair_bond, self._translation, self._rotation,
-                self._wall_load,
+                model.pair_parameters, model.wall_parameters, model.bond_parameters, model.material_count,
+                model.wall_table, model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
+                state.wall_velocity, state.body_position, state.sphere_body, state.sphere_position,
+                state.sphere_velocity, state.sphere_material, state.slot_wall, state.slot_normal, state.slot_overlap,
+                state.pair_start, state.pair_other, state.pair_bond, self._sums, self._wall_load,
             ],
             device=device,
         )  # fmt: skip
@@ -154,20 +152,18 @@ class StableStep:
             self._reduce,
             dim=state.body_count,
             inputs=[
-                model.contact_parameters, model.material_count, state.body_mass, state.body_inertia,
-                state.body_orientation, state.body_first, state.sphere_position, state.sphere_material,
-                self._translation, self._rotation,
-                self._smallest,
+                model.pair_parameters, model.wall_parameters, model.material_count, state.body_mass,
+                state.body_inertia, state.body_orientation, state.body_first, state.sphere_position,
+                state.sphere_velocity, state.sphere_material, self._sums, self._smallest,
             ],
             device=device,
         )  # fmt: skip
         step = float(self._smallest.numpy()[0])
         if self._driven:
             # A driven wall is a body, too; never less than one contact with the largest sphere.
-            modulus = float(model.contact_parameters.numpy()["effective_modulus"].max())
             load = self._wall_load.numpy() / 1000
             for wall, motion in self._driven:
-                stiffness = max(float(load[wall, 0]), np.pi * modulus * state.largest_radius)
+                stiffness = max(float(load[wall, 0]), np.pi * model.stress_scale * state.largest_radius)
                 # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
                 ratio = 0.5 * float(load[wall, 1]) / np.sqrt(motion.mass * stiffness)
                 step = min(step, float(np.sqrt(motion.mass / stiffness) * (np.hypot(1, ratio) - ratio)))

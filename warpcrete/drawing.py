@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 
+from .probes import largest_forces
 from .scene import MeshWall, PipeWall, PlaneWall, Prescribed
 from .simulation import Simulation
 from .state import State
@@ -61,28 +62,7 @@ def body_values(simulation: Simulation, colouring: str) -> np.ndarray:
         return state.body_size.numpy()[order].astype(float)
     if colouring == "speed":
         return np.linalg.norm(state.body_velocity.numpy()[order].astype(float), axis=1)
-    return largest_forces(simulation)[order]
-
-
-def largest_forces(simulation: Simulation) -> np.ndarray:
-    """Largest normal contact force on each body [N], in the order of the state's arrays."""
-    from .probes import listed_pairs
-
-    state, model = simulation.state, simulation.model
-    i, j, _ = listed_pairs(state)
-    position = state.sphere_position.numpy().astype(float)
-    radius = position[:, 3]
-    overlap = radius[i] + radius[j] - np.linalg.norm(position[i, :3] - position[j, :3], axis=1)
-    table = model.contact_parameters.numpy()["effective_modulus"].reshape(model.material_count, -1)
-    material = state.sphere_material.numpy()
-    smaller = np.minimum(radius[i], radius[j])
-    stiffness = table[material[i], material[j]] * np.pi * smaller**2 / (radius[i] + radius[j])
-    force = np.maximum(overlap, 0) * stiffness
-    result = np.zeros(state.body_count)
-    body = state.sphere_body.numpy()
-    np.maximum.at(result, body[i], force)
-    np.maximum.at(result, body[j], force)
-    return result
+    return largest_forces(simulation.model, state)[order]
 
 
 def colours(values: np.ndarray, upper: float) -> np.ndarray:
@@ -108,7 +88,7 @@ def colour_limit(simulation: Simulation, colouring: str) -> float:
         nominal = simulation.scene.notes.get("velocity", max(speeds, default=0.0))
         return 1.5 * float(nominal) if nominal else 1.0
     size = float(simulation.state.body_size.numpy().max(initial=0.0))
-    return 0.05 * simulation.scene.contact.effective_modulus * size**2
+    return 0.05 * simulation.scene.contact.stress_scale * size**2
 
 
 def view(simulation: Simulation, distance: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,11 +13,12 @@ import numpy as np
 import warp as wp
 
 from .errors import DeviceError, one_of, refuse
+from .kernels.bond_parallel import bond_functions
 from .kernels.geometry import axis_functions
-from .kernels.law_linear import DASHPOT_MODES, law
 from .kernels.types import types
 from .kernels.wall_motion import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
-from .scene import Bonds, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
+from .laws import ContactLaw
+from .scene import Bonds, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -25,7 +27,12 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 class Features:
     """What the scene needs; stages are chosen and kernels specialised by it."""
 
-    friction: bool
+    pair_law: Callable
+    """Kernel functions of contacts between bodies."""
+    wall_law: Callable
+    """Kernel functions of contacts with walls."""
+    history: bool
+    """Contacts between bodies remember their shear."""
     bonds: bool
     healing: bool
     clumps: bool
@@ -34,6 +41,8 @@ class Features:
     meshes: bool
     growth: bool
     half_list: bool
+    losses: bool
+    """Dissipated energy is added up."""
 
 
 @dataclass
@@ -49,7 +58,10 @@ class Model:
     """Name of each group number; 0 is no group."""
     bond_kinds: list[Bonds]
     """Properties of bond numbers 1, 2, ...."""
-    contact_parameters: wp.array
+    pair_parameters: wp.array
+    """Parameters of `features.pair_law`, a row for each pair of materials, shape (m * m,)."""
+    wall_parameters: wp.array
+    """Parameters of `features.wall_law`, likewise; the body's material first."""
     bond_parameters: wp.array
     walls: list
     """The scene's walls in device order: planes and pipes first."""
@@ -67,6 +79,11 @@ class Model:
     face_wall: wp.array
     mesh_objects: list = field(default_factory=list)
     """Keeps the wp.Mesh objects alive."""
+
+    @property
+    def stress_scale(self) -> float:
+        """Largest stress scale of the scene's contact laws [Pa]."""
+        return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
     @property
     def material_count(self) -> int:
@@ -124,7 +141,9 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
             if name not in materials:
                 refuse("contacts", (a, b), f"name a material that no body or wall has ({', '.join(materials)})")
         contacts[a, b] = contacts[b, a] = contact
-    table = [contacts.get((a, b), scene.contact) for a in materials for b in materials]
+    of_bodies = {b.material for b in scene.bodies} | _fill_materials(scene)
+    pair_table = _law_table("bodies", scene, contacts, materials, of_bodies, of_bodies)
+    wall_table = _law_table("walls", scene, contacts, materials, of_bodies, {w.material for w in walls})
 
     groups = [""] + sorted({b.group for b in scene.bodies if b.group})
     bond_kinds: list[Bonds] = []
@@ -136,7 +155,9 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
 
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     features = Features(
-        friction=any(c.friction > 0 for c in table),
+        pair_law=pair_table[0].functions(),
+        wall_law=wall_table[0].functions(),
+        history=any(c.has_history for c in pair_table),
         bonds=bool(bond_kinds),
         healing=scene.bonds is not None and scene.bonds.healing,
         clumps=any(t is not None and len(t.radii) > 1 for t in shapes),
@@ -145,6 +166,7 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
         meshes=bool(meshes),
         growth=growth,
         half_list=not device.is_cuda,
+        losses=scene.energy_balance,
     )
 
     segments: list[dict] = []
@@ -203,7 +225,7 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
         segment_rows.append(row)
 
     vec3 = types(scalar).vec3
-    structs = law(scalar)
+    Bond = bond_functions(scalar).Bond
 
     def array(values, dtype, columns: int | None = None):
         data = np.asarray(values)
@@ -223,13 +245,9 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
         materials=materials,
         groups=groups,
         bond_kinds=bond_kinds,
-        contact_parameters=struct_array(
-            [_contact_row(structs.ContactParameters, c) for c in table], structs.ContactParameters
-        ),
-        bond_parameters=struct_array(
-            [structs.BondParameters(), *(_bond_row(structs.BondParameters, b) for b in bond_kinds)],
-            structs.BondParameters,
-        ),
+        pair_parameters=_law_rows(features.pair_law(scalar).Parameters, pair_table, device),
+        wall_parameters=_law_rows(features.wall_law(scalar).Parameters, wall_table, device),
+        bond_parameters=struct_array([Bond(), *(_bond_row(Bond, b) for b in bond_kinds)], Bond),
         walls=walls,
         wall_table=struct_array(rows, Wall),
         analytic_walls=len(analytic),
@@ -264,14 +282,39 @@ def _set_motion(row, motion: Prescribed | Driven | None) -> None:
         row.start_time = motion.start_time
 
 
-def _contact_row(struct, contact: Contact):
-    row = struct()
-    row.effective_modulus = contact.effective_modulus
-    row.shear_to_normal = 1.0 / contact.stiffness_ratio
-    row.friction = contact.friction
-    row.damping_normal = contact.normal_damping_ratio
-    row.damping_shear = contact.shear_damping_ratio
-    row.dashpot_mode = DASHPOT_MODES[contact.dashpot]
+def _law_table(
+    what: str,
+    scene: Scene,
+    contacts: dict[tuple[str, str], ContactLaw],
+    materials: list[str],
+    ours: Iterable[str],
+    theirs: Iterable[str],
+) -> list[ContactLaw]:
+    """Law parameters of every pair of materials; pairs that cannot meet repeat one that can."""
+    met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
+    kinds = sorted({type(c).__name__ for c in met})
+    if len(kinds) > 1:
+        refuse(
+            "contacts",
+            ", ".join(kinds),
+            f"contacts with {what} must all follow one law",
+            "contacts between bodies may follow another than those with walls",
+        )
+    law = type(met[0])
+    table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met
+    return [c if type(c) is law else met[0] for c in table]
+
+
+def _law_rows(struct, table: list[ContactLaw], device) -> wp.array:
+    return wp.array([_filled(struct(), c.row()) for c in table], dtype=struct, device=device)
+
+
+def _filled(row, values: dict[str, Any]):
+    for name, value in values.items():
+        if isinstance(value, dict):
+            _filled(getattr(row, name), value)
+        else:
+            setattr(row, name, value)
     return row
 
 

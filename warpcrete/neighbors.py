@@ -32,7 +32,7 @@ class NeighborLists:
         self.skin, self.mesh_skin, self.sort_every = skin, mesh_skin, sort_every
         self.builds = 0
         features = model.features
-        self._kernels = neighbor_kernels(model.scalar, features.half_list, features.friction, features.bonds)
+        self._kernels = neighbor_kernels(model.scalar, features.half_list, features.history, features.bonds)
         self._count_faces, self._fill_faces = candidate_kernels(model.scalar)
         t = types(model.scalar)
         n = state.sphere_count
@@ -97,7 +97,7 @@ class NeighborLists:
 
     @staticmethod
     def _pair_arrays(state: State) -> list[wp.array]:
-        return [state.pair_other, state.pair_shear, state.pair_bond, state.pair_bond_force, state.pair_bond_moment]
+        return [state.pair_other, state.pair_history, state.pair_bond, state.pair_bond_force, state.pair_bond_moment]
 
     def _list_faces(self, model: Model, state: State) -> bool:
         n, device = state.sphere_count, model.device
@@ -140,9 +140,9 @@ class NeighborLists:
         wp.copy(state.body_first, first)
         for names, places in ((State.BODY_ARRAYS, order), (State.SPHERE_ARRAYS, old_place)):
             for name in names:
-                array = getattr(state, name)
-                _permute(array, places)
-        for name in ("slot_shear", "slot_normal", "slot_overlap", "slot_wall"):
+                if name != "sphere_lost" or model.features.losses:
+                    _permute(getattr(state, name), places)
+        for name in ("slot_history", "slot_normal", "slot_overlap", "slot_wall"):
             array = getattr(state, name)
             if array.shape[1] > 0:
                 _permute(array, old_place)

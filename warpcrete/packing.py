@@ -10,9 +10,10 @@ import numpy as np
 from .axis import Axis
 from .clumps import ClumpTemplate, reference
 from .errors import InstabilityError, positive, refuse
+from .laws import Contact, ContactLaw
 from .model import build_model
 from .probes import contact_sums
-from .scene import Contact, MeshWall, PipeWall, PlaneWall, Scene, TimeStep
+from .scene import MeshWall, PipeWall, PlaneWall, Scene, TimeStep
 from .sizes import Gaussian, Sizes
 from .state import BodyTable, State
 from .stepper import Stepper
@@ -213,7 +214,7 @@ def draw(
 def pack(
     fill: Fill,
     *,
-    contact: Contact | None = None,
+    contact: ContactLaw | None = None,
     seed: int = 0,
     device=None,
     precision: str = "float32",
@@ -257,13 +258,12 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
 
     device = find_device(device) if device is None or isinstance(device, str) else device
     table = draw(fill, container, fraction, random)
-    smooth = replace(contact, friction=0.0, normal_damping_ratio=max(contact.normal_damping_ratio, 0.5))
     scene = Scene(
         name="packing",
         duration=0.0,
         fill=fill,
         walls=container.walls("wall"),
-        contact=smooth,
+        contact=contact.frictionless(),
         gravity=(0.0, 0.0, 0.0),
     )
     model = build_model(scene, device, precision, growth=True)
@@ -280,7 +280,7 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
             stepper.take(chunk)
             tell(0.6 * (number + 1) * chunk / GROWTH_STEPS)
             # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
-            enough = max(pressure or 0.0, TRANSIENT * contact.effective_modulus)
+            enough = max(pressure or 0.0, TRANSIENT * contact.stress_scale)
             if pressure is not None and number % 2 and _pressure(model, state, container.volume) > enough:
                 break
         # Rest, and with a wanted pressure creep towards it from either side.
@@ -292,7 +292,7 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
                 if good == 4:
                     break
                 # dp/d(ln size) of a packing is about its contacts' modulus.
-                change = np.clip(error / contact.effective_modulus, -2e-3, 2e-3)
+                change = np.clip(error / contact.stress_scale, -2e-3, 2e-3)
                 if below is not None and below != (error > 0):
                     least *= 0.5
                 below = bool(error > 0)
@@ -321,7 +321,7 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
                 pressure,
                 f"cannot be met, the packing {found}",
                 f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
-                f"({contact.effective_modulus:g} Pa)",
+                f"({contact.stress_scale:g} Pa)",
             )
     report = PackingReport(
         bodies=len(result),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from .kernels.probes import BODY_COLUMNS, CONTACT_COLUMNS, probe_kernels
+from .kernels import probes as column
 from .kernels.types import types
 from .model import Model
 from .state import State
@@ -23,6 +23,9 @@ class ContactSums:
     mean_overlap: float
     """Over the smaller radius."""
     largest_overlap: float
+    deepest: float
+    """Largest overlap over the one that swallows the smaller sphere whole or halves the distance of the centres,
+    whichever comes first; on walls over the radius. Past 1 a contact no longer means anything."""
     elastic_energy: float
     """[J]"""
     bond_energy: float
@@ -49,6 +52,8 @@ class BodySums:
     """[m], shape (3,)."""
     drive_force: np.ndarray
     """Sum of the axis drives [N], shape (3,)."""
+    drive_power: float
+    """Of the axis drives [W]."""
 
 
 def body_sums(model: Model, state: State) -> BodySums:
@@ -56,66 +61,89 @@ def body_sums(model: Model, state: State) -> BodySums:
     n = state.body_count
     mass = float(state.body_mass.numpy().sum(dtype=float))
     if n == 0:
-        return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3))
-    f = model.features
-    measure, _ = probe_kernels(model.scalar, f.half_list, f.friction, f.bonds)
-    values = wp.zeros((n, BODY_COLUMNS), dtype=wp.float64, device=model.device)
+        return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0)
+    values = wp.zeros((n, int(column.BODY_COLUMNS)), dtype=wp.float64, device=model.device)
     wp.launch(
-        measure,
+        column.body_probe(model.scalar),
         dim=n,
         inputs=[
             types(model.scalar).vec3(*model.scene.gravity), model.segments, model.drive_axis, model.drive_force,
             state.body_group, state.body_mass, state.body_inertia, state.body_position, state.body_velocity,
-            state.body_spin, state.body_orientation, state.body_id, values,
+            state.body_spin, state.body_orientation, state.body_id, state.clock, values,
         ],
         device=model.device,
     )  # fmt: skip
     total = values.numpy().sum(0)
     return BodySums(
-        kinetic_energy=float(total[0]),
-        potential_energy=float(total[1]),
-        momentum=total[2:5],
+        kinetic_energy=float(total[column.KINETIC]),
+        potential_energy=float(total[column.POTENTIAL]),
+        momentum=total[column.MOMENTUM : column.MOMENTUM + 3],
         mass=mass,
-        centroid=total[5:8] / mass,
-        drive_force=total[8:11],
+        centroid=total[column.LIFT : column.LIFT + 3] / mass,
+        drive_force=total[column.DRIVEN : column.DRIVEN + 3],
+        drive_power=float(total[column.DRIVE_POWER]),
     )
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
     """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
-    n = state.sphere_count
-    if n == 0:
-        return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
-    f = model.features
-    _, measure = probe_kernels(model.scalar, f.half_list, f.friction, f.bonds)
-    values = wp.zeros((n, CONTACT_COLUMNS), dtype=wp.float64, device=model.device)
-    wp.launch(
-        measure,
-        dim=n,
-        inputs=[
-            model.contact_parameters, model.bond_parameters, model.material_count, model.wall_table,
-            model.analytic_walls, model.segments, state.wall_position, state.wall_orientation, state.slot_shear,
-            state.slot_overlap, state.slot_wall,
-            state.body_position, state.sphere_body, state.sphere_id, state.sphere_position,
-            state.sphere_material, state.pair_start, state.pair_other,
-            state.pair_shear, state.pair_bond, state.pair_bond_force, state.pair_bond_moment, values,
-        ],
-        device=model.device,
-    )  # fmt: skip
-    rows = values.numpy()
+    if state.sphere_count == 0:
+        return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
+    rows, _ = _measure_contacts(model, state)
     total = rows.sum(0)
-    contacts = int(total[0])
+    contacts = int(total[column.CONTACTS])
     return ContactSums(
         contacts=contacts,
         coordination_number=2 * len(touching_bodies(state)) / state.body_count if coordination else float("nan"),
-        mean_overlap=float(total[1] / contacts) if contacts else 0.0,
-        largest_overlap=float(rows[:, 2].max()),
-        elastic_energy=float(total[3]),
-        bond_energy=float(total[4]),
-        bonded=int(total[5]),
-        hydrated=int(total[7]),
-        virial=float(total[6]),
+        mean_overlap=float(total[column.OVERLAP_SUM] / contacts) if contacts else 0.0,
+        largest_overlap=float(rows[:, column.OVERLAP_MAX].max()),
+        deepest=float(rows[:, column.DEPTH_MAX].max()),
+        elastic_energy=float(total[column.ELASTIC_ENERGY]),
+        bond_energy=float(total[column.BOND_ENERGY]),
+        bonded=int(total[column.BONDED]),
+        hydrated=int(total[column.BONDED_HYDRATED]),
+        virial=float(total[column.VIRIAL]),
     )
+
+
+def _measure_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the contact probe in the order of the spheres' permanent numbers, and each listed pair's normal force."""
+    f, n = model.features, state.sphere_count
+    values = wp.zeros((n, int(column.CONTACT_COLUMNS)), dtype=wp.float64, device=model.device)
+    forces = wp.zeros(state.pair_total, dtype=model.scalar, device=model.device)
+    wp.launch(
+        column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
+        dim=n,
+        inputs=[
+            model.pair_parameters, model.wall_parameters, model.bond_parameters, model.material_count,
+            model.wall_table, model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
+            state.wall_velocity, state.slot_history, state.slot_normal, state.slot_overlap, state.slot_wall,
+            state.body_position, state.sphere_body, state.sphere_id, state.sphere_position, state.sphere_velocity,
+            state.sphere_material, state.pair_start, state.pair_other, state.pair_history, state.pair_bond,
+            state.pair_bond_force, state.pair_bond_moment, state.clock, values, forces,
+        ],
+        device=model.device,
+    )  # fmt: skip
+    return values.numpy(), forces.numpy()
+
+
+def deepest_sphere(model: Model, state: State) -> int:
+    """Permanent number of a body whose overlap is the deepest."""
+    rows, _ = _measure_contacts(model, state)
+    sphere = int(np.flatnonzero(state.sphere_id.numpy() == int(rows[:, column.DEPTH_MAX].argmax()))[0])
+    return int(state.body_id.numpy()[state.sphere_body.numpy()[sphere]])
+
+
+def largest_forces(model: Model, state: State) -> np.ndarray:
+    """Largest normal contact force on each body [N], in the order of the state's arrays."""
+    result = np.zeros(state.body_count)
+    if state.sphere_count:
+        force = _measure_contacts(model, state)[1]
+        i, j, place = listed_pairs(state)
+        body = state.sphere_body.numpy()
+        np.maximum.at(result, body[i], force[place])
+        np.maximum.at(result, body[j], force[place])
+    return result
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

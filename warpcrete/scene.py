@@ -11,40 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import between, one_of, positive, refuse, vector
+from .errors import between, positive, refuse, vector
+from .laws import Contact, ContactLaw
 
 if TYPE_CHECKING:
     from .axis import Axis
     from .clumps import ClumpTemplate
     from .packing import Fill
-
-DASHPOTS = ("full", "no-tension", "slip-cut", "both")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Contact:
-    """Linear contact between two materials (Zhan et al. 2019, Eqs. 7-8)."""
-
-    effective_modulus: float = 1e5
-    """E* [Pa]; k_n = A E*/L with A = pi r^2, r the smaller radius, L the distance of the centres at touch."""
-    stiffness_ratio: float = 2.0
-    """k_n / k_s."""
-    friction: float = 0.05
-    """Coulomb coefficient."""
-    normal_damping_ratio: float = 0.5
-    """Normal dashpot, as a share of critical damping."""
-    shear_damping_ratio: float = 0.0
-    """Shear dashpot, as a share of critical damping."""
-    dashpot: str = "full"
-    """`full`; `no-tension` (normal total never pulls); `slip-cut` (no shear dashpot in slip); `both`."""
-
-    def __post_init__(self) -> None:
-        positive("effective_modulus", self.effective_modulus, "Pa")
-        positive("stiffness_ratio", self.stiffness_ratio)
-        between("friction", self.friction, 0, np.inf)
-        between("normal_damping_ratio", self.normal_damping_ratio, 0, np.inf)
-        between("shear_damping_ratio", self.shear_damping_ratio, 0, np.inf)
-        one_of("dashpot", self.dashpot, DASHPOTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,9 +298,11 @@ class Scene:
     """Aggregates to be packed into a container before the start."""
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
-    contacts: Mapping[tuple[str, str], Contact] = field(default_factory=dict)
+    contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
     """Overrides of `contact` for pairs of materials, in either order."""
-    contact: Contact = field(default_factory=Contact)
+    contact: ContactLaw = field(default_factory=Contact)
+    """Law between bodies, and against walls. Each of the two must be one law throughout a scene, with parameters
+    that may differ from one pair of materials to the next."""
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
@@ -340,6 +315,8 @@ class Scene:
     sample_interval: float = 0.01
     """Simulated time between two rows of the series [s]."""
     seed: int = 0
+    energy_balance: bool = False
+    """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Arguments that make this scene again through its scene function; empty if it has none."""
     notes: Mapping[str, Any] = field(default_factory=dict)

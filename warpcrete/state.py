@@ -114,7 +114,7 @@ class State:
     )  # fmt: skip
     SPHERE_ARRAYS = (
         "sphere_id", "sphere_material", "sphere_offset", "sphere_position", "sphere_velocity", "sphere_spin",
-        "sphere_built", "force", "moment",
+        "sphere_built", "force", "moment", "sphere_lost",
     )  # fmt: skip
 
     def __init__(self, model: Model, table: BodyTable) -> None:
@@ -182,6 +182,7 @@ class State:
         self.sphere_built = array(position, t.vec4)
         self.force = zeros(spheres, t.vec3)
         self.moment = zeros(spheres, t.vec3)
+        self.sphere_lost = zeros(spheres if model.features.losses else 1, wp.float64)
 
         self.pair_start = zeros(spheres + 1, wp.int32)
         self.candidate_start = zeros(spheres + 1, wp.int32)
@@ -191,7 +192,7 @@ class State:
 
         walls = len(model.walls)
         slots = model.analytic_walls + (MESH_SLOTS if model.features.meshes else 0)
-        self.slot_shear = zeros((spheres, slots), t.vec3)
+        self.slot_history = zeros((spheres, slots), t.vec3)
         self.slot_normal = zeros((spheres, slots), t.vec3)
         self.slot_overlap = zeros((spheres, slots), scalar)
         self.slot_wall = array(np.full((spheres, slots), -1), wp.int32)
@@ -213,10 +214,7 @@ class State:
         self.reference_velocity = zeros(1, t.vec3)
         self.scale = array([1.0], scalar)
         clock = np.zeros(CLOCK)
-        modulus = max(
-            [model.scene.contact.effective_modulus, *(c.effective_modulus for c in model.scene.contacts.values())]
-        )
-        typical_force = modulus * (2 * max(self.largest_radius, 1e-12)) ** 2
+        typical_force = model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
         # 2^62 units hold a hundred thousand such forces; one unit is 5e-14 of one.
         clock[int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self.clock = array(clock, wp.float64)
@@ -227,11 +225,11 @@ class State:
         t = types(self.model.scalar)
         features = self.model.features
         device = self.model.device
-        friction = capacity if features.friction else 1
+        history = capacity if features.history else 1
         bonds = capacity if features.bonds else 1
         self.pair_capacity = capacity
         self.pair_other = wp.zeros(capacity, dtype=wp.int32, device=device)
-        self.pair_shear = wp.zeros(friction, dtype=t.vec3, device=device)
+        self.pair_history = wp.zeros(history, dtype=t.vec3, device=device)
         self.pair_bond = wp.zeros(bonds, dtype=wp.int32, device=device)
         self.pair_bond_force = wp.zeros(bonds, dtype=t.vec4, device=device)
         self.pair_bond_moment = wp.zeros(bonds, dtype=t.vec4, device=device)
