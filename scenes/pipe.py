@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -153,8 +154,7 @@ def scene(
     contacts = {}
     if wall_friction is not None:
         between("wall_friction", wall_friction, 0, np.inf)
-        values = {name: getattr(contact, name) for name in contact.__dataclass_fields__}
-        contacts["aggregate", "wall"] = Contact(**(values | {"friction": wall_friction}))
+        contacts["aggregate", "wall"] = replace(contact, friction=wall_friction)
 
     bodies, drives, group_bonds, walls = (), (), {}, []
     front = length

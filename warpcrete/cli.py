@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -58,9 +57,23 @@ class RunGroup(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@cli.group("run", cls=RunGroup, context_settings={"max_content_width": 110})
-def run_group() -> None:
-    """Run a scene: `warpcrete run SCENE [options]`, or repeat one: `warpcrete run RUN/scene.json`."""
+@cli.group("run", cls=RunGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
+@click.option("--resume", type=click.Path(path_type=Path), help="go on with the interrupted run of this folder")
+@click.option("--quiet", is_flag=True, help="no progress bar")
+@click.pass_context
+def run_group(context: click.Context, resume: Path | None, quiet: bool) -> None:
+    """Run a scene: `warpcrete run SCENE [options]`, repeat one: `warpcrete run RUN/scene.json`, or go on with an
+    interrupted one: `warpcrete run --resume RUN`."""
+    if context.invoked_subcommand is not None:
+        if resume is not None:
+            raise click.UsageError("resume = RUN: goes without a scene; the folder holds one")
+    elif resume is None:
+        click.echo(context.get_help())
+        raise SystemExit(2)
+    else:
+        from . import job
+
+        job.resume(resume, scene_modules(), quiet=quiet)
 
 
 @cli.command("view")
@@ -70,7 +83,9 @@ def view_run(run: Path) -> None:
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
         raise RunFolderError(f"'{run}': holds no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
-    raise SystemExit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
+    # An unfinished run lies in parts; they are one recording to the viewer.
+    parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
+    raise SystemExit(subprocess.call([sys.executable, "-m", "rerun", str(recording), *map(str, parts)]))
 
 
 def _common_options() -> list[click.Parameter]:
@@ -92,6 +107,10 @@ def _common_options() -> list[click.Parameter]:
         click.Option(["--pipeline-horizontal"], type=float, help="horizontal pipeline length [m] for Eq. 13"),
         click.Option(["--pipeline-other"], type=click.Path(path_type=Path),
                      help="run folder of the other straight unit, for Eq. 13"),
+        click.Option(["--checkpoint-every"], type=float, default=60.0, show_default=True,
+                     help="seconds of wall time between two checkpoints; 0 writes none"),
+        click.Option(["--resume"], type=click.Path(path_type=Path),
+                     help="go on with the interrupted run of this folder, as it began"),
         click.Option(["--quiet"], is_flag=True, help="no progress bar"),
     ]  # fmt: skip
 
@@ -117,147 +136,38 @@ def _scene_command(name: str, module) -> click.Command:
             )  # fmt: skip
 
     def callback(**values: Any) -> None:
+        from . import job
+
         common = {key: values.pop(key) for key in COMMON}
-        _run(name, module, values, **common)
+        resume = common.pop("resume")
+        if resume is None:
+            job.run(name, module, values, **common)
+            return
+        context = click.get_current_context()
+        default = click.core.ParameterSource.DEFAULT
+        given = [k for k in (*values, *common) if k != "quiet" and context.get_parameter_source(k) != default]
+        if given:
+            raise click.UsageError(f"resume = '{resume}': goes on as the run began; leave out {', '.join(given)}")
+        job.resume(resume, scene_modules(), quiet=common["quiet"])
 
     return click.Command(name, params=options + _common_options(), callback=callback, help=inspect.getdoc(function))
 
 
 def _repeat_command(path: Path) -> click.Command:
     def callback(**common: Any) -> None:
-        from .run_folder import read_json
+        from . import job
 
-        record = read_json(path)
-        modules = scene_modules()
-        if record.get("scene") not in modules or not isinstance(record.get("parameters"), dict):
-            raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(modules)})")
-        module = modules[record["scene"]]
-        known = inspect.signature(module.scene).parameters
-        unknown = sorted(set(record["parameters"]) - set(known))
-        if unknown:
-            raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
+        if common.pop("resume") is not None:
+            raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
+        record, module = job.saved_scene(path, scene_modules())
         if common["device"] is None:
             common["device"] = record.get("device")
         context = click.get_current_context()
         if context.get_parameter_source("precision") == click.core.ParameterSource.DEFAULT:
             common["precision"] = record.get("precision", common["precision"])
-        _run(record["scene"], module, record["parameters"], **common)
+        job.run(record["scene"], module, record["parameters"], **common)
 
     return click.Command(str(path), params=_common_options(), callback=callback, help="Repeat a saved run.")
-
-
-def _run(name: str, module, parameters: dict[str, Any], *, out, device, precision, live, frames, colour, network, rerun,
-         usd, pipeline_vertical, pipeline_horizontal, pipeline_other, quiet) -> None:  # fmt: skip
-    from .errors import between, one_of, positive
-    from .pipeline import pipeline_estimate
-    from .progress import ProgressBar
-    from .record_plot import PlotRecorder
-    from .run_folder import TableRecorder, check_new, next_folder, read_json
-    from .simulation import Recorder, Simulation, write_json
-
-    folder = out if out is not None else next_folder(name)
-    check_new(folder)
-    positive("frames", frames, "1/s")
-    for field, value in (("pipeline_vertical", pipeline_vertical), ("pipeline_horizontal", pipeline_horizontal)):
-        if value is not None:
-            between(field, value, 0, float("inf"), "m")
-    other = read_json(pipeline_other / "result.json") if pipeline_other else None
-    if other is not None and ("plateau_pressure" not in other or "concrete_length" not in other):
-        raise RunFolderError(f"pipeline_other = '{pipeline_other}': is not the folder of a finished pipe run")
-
-    scene = module.scene(**parameters)
-    piped = pipeline_vertical is not None or pipeline_horizontal is not None
-    if piped:
-        straight = ("vertical", "horizontal")
-        one_of("unit", scene.notes.get("unit"), straight)
-        if other is not None:
-            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
-    recorders: list[Recorder] = [TableRecorder(folder)]
-    if rerun or live:
-        from .record_rerun import RerunRecorder
-
-        target = True if live == "spawn" else (live or False)
-        recorders.append(
-            RerunRecorder(folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
-        )
-    if usd:
-        from .record_usd import UsdRecorder
-
-        recorders.append(UsdRecorder(folder / "scene.usdc", colouring=colour))
-    recorders.append(PlotRecorder(folder / "pressure.png", scene.notes.get("paper")))
-
-    progress = ProgressBar()
-    simulation = Simulation(
-        scene,
-        device=device,
-        precision=precision,
-        recorders=recorders,
-        frame_interval=1.0 / frames,
-        progress=False if quiet else progress,
-    )
-    for line in scene.notes.get("simplified", ()):
-        click.echo(f"note: {line}", err=True)
-
-    def stop(signum, frame) -> None:
-        # The first Ctrl-C ends the run at its next sample, a second one at once; none disturbs the writing.
-        if simulation.finishing:
-            return
-        if simulation.stop_requested:
-            raise KeyboardInterrupt
-        simulation.stop_requested = True
-
-    previous = signal.getsignal(signal.SIGINT)
-    try:
-        simulation.prepare()
-        signal.signal(signal.SIGINT, stop)
-        run = simulation.run()
-    finally:
-        signal.signal(signal.SIGINT, previous)
-        progress.close()
-    if run.folder is not None and piped and "plateau_pressure" in run.result:
-        run.result["pipeline_estimate"] = pipeline_estimate(
-            run, pipeline_vertical or 0.0, pipeline_horizontal or 0.0, other
-        )
-        write_json(run.folder / "result.json", run.result)
-    _report(run, module)
-    if not run.finished:
-        raise SystemExit(130)
-
-
-def _report(run, module) -> None:
-    result = run.result
-
-    def show(label: str, text: str) -> None:
-        click.echo(f"{label:<20s} {text}")
-
-    click.echo()
-    if "plateau_pressure" in result:
-        paper = run.scene.notes.get("paper", {})
-
-        def beside(key: str) -> str:
-            return f"   (Zhan et al. 2019: {paper[key] / 1e3:.2f} kPa)" if key in paper else ""
-
-        peak, at = result["peak_pressure"]["value"], result["peak_travel"]["value"]
-        show("peak pressure", f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{beside('peak')}")
-        show("plateau pressure", f"{result['plateau_pressure']['value'] / 1e3:.2f} kPa{beside('plateau')}")
-    if "pipeline_estimate" in result:
-        estimate = result["pipeline_estimate"]
-        show("pipeline, Eq. 13", f"{estimate['total_pressure']['value'] / 1e6:.2f} MPa; other direction from "
-             f"{estimate['other_direction_from']}")  # fmt: skip
-    if run.packing:
-        show("packing", f"{run.packing.bodies} aggregates, solid fraction {run.packing.solid_fraction:.3f}, "
-             f"{run.packing.coordination_number:.1f} neighbours each")  # fmt: skip
-    speed = result["speed"]
-    total = sum(speed[k]["value"] for k in ("packing_time", "settling_time", "wall_time"))
-    show("time", f"{total:.0f} s for {result['steps']} steps ({speed['steps_per_second']['value']:.0f} a second) "
-         f"on {result['provenance']['device']}")  # fmt: skip
-    if run.finished:
-        for name, (passed, found) in module.check(run).items():
-            show("check", f"{'ok  ' if passed else 'FAIL'} {name}: {found}")
-    else:
-        show("interrupted", f"at t = {result['simulated_time']['value']:.3f} s; everything so far is written")
-    if run.folder is not None:
-        show("run folder", f"{run.folder}   (warpcrete view {run.folder})")
 
 
 def main() -> None:

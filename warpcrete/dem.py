@@ -13,7 +13,7 @@ from .kernels.bonds import bond_kernels
 from .kernels.contacts import contact_kernel
 from .kernels.timestep import timestep_kernels
 from .kernels.types import types
-from .kernels.wall_motion import SPEED_LIMIT, advance_kernel
+from .kernels.wall_motion import advance_kernel
 from .kernels.walls import wall_kernel
 from .model import Model
 from .scene import Bonds, Driven, MeshWall
@@ -102,7 +102,7 @@ def step_stages(
             body_kernel(scalar, f.clumps, f.drives, f.growth, f.meshes, f.losses),
             state.body_count,
             [
-                gravity, local_damping, SPEED_LIMIT, model.segments, model.drive_axis, model.drive_force,
+                gravity, local_damping, model.scene.watch.speed, model.segments, model.drive_axis, model.drive_force,
                 state.body_group, state.body_mass, state.body_inertia, state.body_first, state.sphere_offset,
                 state.sphere_built, state.reference_velocity, skin, sphere_share, growth_rate, growth_end, state.clock,
                 state.flags, state.scale, state.force, state.moment, state.sphere_lost, state.body_position,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from .errors import between
-from .simulation import Run, quantity
+from .series import quantity
+from .simulation import Run
 
 
 def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:

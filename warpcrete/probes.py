@@ -166,3 +166,13 @@ def touching_bodies(state: State) -> np.ndarray:
     body = state.sphere_body.numpy()
     a, b = body[i[touching]], body[j[touching]]
     return np.unique(np.stack([np.minimum(a, b), np.maximum(a, b)], 1), axis=0).reshape(-1, 2)
+
+
+def fastest_body(model: Model, state: State) -> int:
+    """Permanent number of the body with the largest speed, or of one whose motion is not a number."""
+    speed = np.linalg.norm(state.body_velocity.numpy(), axis=1) + np.linalg.norm(state.body_spin.numpy(), axis=1)
+    if not len(speed):
+        return -1
+    wrong = np.flatnonzero(~np.isfinite(speed))
+    place = int(wrong[0]) if len(wrong) else int(np.argmax(np.linalg.norm(state.body_velocity.numpy(), axis=1)))
+    return int(state.body_id.numpy()[place])

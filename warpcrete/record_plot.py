@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .simulation import Run, Simulation
+from .simulation import Recorder, Run, Simulation
 from .state import rotate
 
 
@@ -84,20 +84,11 @@ def plot_aggregates(runs: dict[str, Run] | Run, vertical: int = 2, across: int =
     return figure
 
 
-class PlotRecorder:
+class PlotRecorder(Recorder):
     """Writes pressure.png when the run ends."""
 
     def __init__(self, path: Path, paper: dict[str, float] | None = None) -> None:
         self.path, self.paper = path, paper
-
-    def start(self, simulation: Simulation) -> None:
-        """Nothing to do yet."""
-
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Nothing: the run keeps its series."""
-
-    def frame(self, simulation: Simulation) -> None:
-        """Nothing."""
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Draw, if the scene has a pumping pressure."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import uuid
 import warnings
 from pathlib import Path
 from typing import Any
@@ -9,19 +12,22 @@ from typing import Any
 import numpy as np
 
 from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
-from .errors import one_of, refuse
-from .simulation import Run, Simulation
+from .errors import RunFolderError, one_of, refuse
+from .simulation import Recorder, Run, Simulation
 
 FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
 WALL_COLOURS = {"pipe": (150, 165, 180, 22), "piston": (190, 110, 60, 255)}
 
 
-class RerunRecorder:
+class RerunRecorder(Recorder):
     """Aggregates (every clump drawn by its own spheres), moving walls, pressure and energies on one timeline.
 
     Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
     (`rerun+http://127.0.0.1:9876/proxy`); `colouring` `speed`, `size` or `force`; `network` also draws the
     touching pairs (grey) and the bonds (orange).
+
+    Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
+    resumed goes on after a whole part. At the end they become one file.
     """
 
     def __init__(
@@ -42,23 +48,10 @@ class RerunRecorder:
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
         rr = self._rr
-        recording = rr.RecordingStream("warpcrete")
-        self._recording = recording
-        blueprint = self._blueprint(simulation)
-        sinks: list[Any] = []
-        if self.path is not None:
-            sinks.append(rr.FileSink(str(self.path)))
-        if self.live:
-            if self.live is True:
-                rr.spawn(connect=False, recording=recording)
-                sinks.append(rr.GrpcSink())
-            else:
-                sinks.append(rr.GrpcSink(str(self.live)))
-        recording.set_sinks(*sinks, default_blueprint=blueprint)
+        recording = self._open(simulation, str(uuid.uuid4()), 0, self._blueprint(simulation))
         recording.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         state = simulation.state
-        self._sphere_order = np.argsort(state.sphere_id.numpy())
-        radius = state.sphere_position.numpy()[self._sphere_order, 3]
+        radius = state.sphere_position.numpy()[np.argsort(state.sphere_id.numpy()), 3]
         recording.log("scene/aggregates", rr.Points3D.from_fields(radii=radius), static=True)
         for number, wall in enumerate(simulation.model.walls):
             mesh = wall_mesh(wall)
@@ -72,13 +65,74 @@ class RerunRecorder:
             )
             if wall.motion is None:
                 self._log_pose(simulation, number, static=True)
-        self._upper = colour_limit(simulation, self.colouring)
         recording.log(
             "pressure/piston", rr.SeriesLines(names="piston pressure [kPa]", colors=[215, 95, 30]), static=True
         )
         names = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
         for column, name in names.items():
             recording.log(f"energy/{column}", rr.SeriesLines(names=name), static=True)
+
+    def resume(self, simulation: Simulation, memory: dict[str, Any]) -> None:
+        """Drop the parts after the checkpoint and open the next."""
+        if self.path is not None:
+            for number in range(memory["parts"]):
+                if not self._part(number).is_file():
+                    raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
+            for path in self._later_parts(memory["parts"]):
+                path.unlink()
+        self._open(simulation, memory["recording_id"], memory["parts"], None)
+
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Close the part and open the next."""
+        if self.path is not None:
+            self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
+            self._parts += 1
+            self._recording.set_sinks(*self._sinks())
+        return {"recording_id": self._id, "parts": self._parts}
+
+    def _open(self, simulation: Simulation, recording_id: str, part: int, blueprint) -> Any:
+        rr = self._rr
+        self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
+        self._id, self._parts = recording_id, part
+        self._upper = colour_limit(simulation, self.colouring)
+        if self.live is True:
+            rr.spawn(connect=False, recording=self._recording)
+        self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
+        return self._recording
+
+    def _sinks(self) -> list[Any]:
+        rr = self._rr
+        sinks: list[Any] = []
+        if self.path is not None:
+            sinks.append(rr.FileSink(str(self._part(self._parts))))
+        if self.live:
+            sinks.append(rr.GrpcSink() if self.live is True else rr.GrpcSink(str(self.live)))
+        return sinks
+
+    def _part(self, number: int) -> Path:
+        assert self.path is not None
+        return self.path if number == 0 else self.path.with_name(f"{self.path.stem}-{number:04d}{self.path.suffix}")
+
+    def _later_parts(self, first: int) -> list[Path]:
+        assert self.path is not None
+        numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
+        later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]
+        return ([self.path] if first == 0 else []) + later
+
+    def _join(self) -> None:
+        """One file of all parts, by Rerun's own tool."""
+        assert self.path is not None
+        parts = [self._part(number) for number in range(self._parts + 1)]
+        partial = self.path.with_name("partial-" + self.path.name)
+        command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(partial)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode != 0 or not partial.is_file():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            warnings.warn(f"the parts of {self.path} stay apart, joining them failed: {last}", stacklevel=2)
+            return
+        partial.replace(self.path)
+        for path in parts[1:]:
+            path.unlink()
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Scalars of one row."""
@@ -113,6 +167,11 @@ class RerunRecorder:
                 # A viewer that is not there must not hold up the run; the file has everything.
                 warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
             self._recording.disconnect()
+
+    def tidy(self, simulation: Simulation, run: Run) -> None:
+        """Make one file of the parts."""
+        if self.path is not None and self._parts > 0:
+            self._join()
 
     def _set_time(self, simulation: Simulation) -> None:
         self._recording.set_time("time", duration=simulation.stepper.time)

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
-from .simulation import Run, Simulation
+from .errors import RunFolderError
+from .simulation import Recorder, Run, Simulation
 
 FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
 
 
-class UsdRecorder:
-    """Writes scene.usdc when the run ends, also after an interruption. Z up, metres."""
+class UsdRecorder(Recorder):
+    """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres."""
 
     def __init__(self, path: Path, *, colouring: str = "speed") -> None:
         self.path, self.colouring = path, colouring
@@ -27,11 +28,37 @@ class UsdRecorder:
 
     def start(self, simulation: Simulation) -> None:
         """Stage, prototypes, walls and camera."""
+        from pxr import Usd
+
+        stage = Usd.Stage.CreateInMemory()
+        self._stage = stage
+        self._build(simulation, stage)
+
+    def resume(self, simulation: Simulation, memory: dict[str, Any]) -> None:
+        """Open the file of the checkpoint and take out what came after it."""
+        from pxr import Sdf, Tf, Usd
+
+        try:
+            layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
+        except Tf.ErrorException as error:
+            raise RunFolderError(f"'{self.path}': is missing or damaged; the run cannot be resumed") from error
+        self._first, self._last = memory["first"], memory["last"]
+
+        paths: list[Any] = []
+        layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+        for path in paths:
+            if path.IsPropertyPath():
+                for code in layer.ListTimeSamplesForPath(path):
+                    if code > self._last:
+                        layer.EraseTimeSample(path, code)
+        self._stage = Usd.Stage.Open(layer)
+        self._build(simulation, self._stage)
+
+    def _build(self, simulation: Simulation, stage) -> None:
+        """Everything that does not change; on a stage that has it already, the same again."""
         from pxr import Gf, Usd, UsdGeom, Vt
 
         state = simulation.state
-        stage = Usd.Stage.CreateInMemory()
-        self._stage = stage
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
@@ -80,6 +107,7 @@ class UsdRecorder:
             opaque = wall.motion is not None
             mesh.CreateDisplayColorAttr([Gf.Vec3f(0.75, 0.43, 0.24) if opaque else Gf.Vec3f(0.59, 0.65, 0.7)])
             mesh.CreateDisplayOpacityAttr([1.0 if opaque else 0.15])
+            mesh.ClearXformOpOrder()
             self._walls[number] = (mesh.AddTranslateOp(), mesh.AddOrientOp(UsdGeom.XformOp.PrecisionDouble))
             if not opaque:
                 self._pose(simulation, number, Usd.TimeCode.Default())
@@ -87,14 +115,12 @@ class UsdRecorder:
         eye, target = view(simulation, 1.9)
         camera = UsdGeom.Camera.Define(stage, "/Run/Camera")
         look = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*target), Gf.Vec3d(0, 0, 1)).GetInverse()
+        camera.ClearXformOpOrder()
         camera.AddTransformOp().Set(look)
         distance = float(np.linalg.norm(eye - target))
         camera.CreateFocalLengthAttr(22.0)
         camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * distance, 100 * distance))
         camera.CreateFocusDistanceAttr(distance)
-
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Nothing: USD holds pictures, not series."""
 
     def frame(self, simulation: Simulation) -> None:
         """One time sample of all bodies and moving walls."""
@@ -127,8 +153,18 @@ class UsdRecorder:
                 self._pose(simulation, number, code)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write the file beside, then rename."""
-        if self._stage is None or self._first is None:
+        """Write the file."""
+        if self._stage is not None:
+            self._write()
+
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Write the file as it is so far."""
+        self._write()
+        return {"first": self._first, "last": self._last}
+
+    def _write(self) -> None:
+        # Beside, then rename: no reader meets half a file.
+        if self._first is None:
             return
         self._stage.SetStartTimeCode(self._first)
         self._stage.SetEndTimeCode(self._last)

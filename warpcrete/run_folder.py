@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from pathlib import Path
 from typing import Any, TextIO
 
 from .errors import RunFolderError
-from .simulation import Run, Simulation, scene_record, unit_of, write_json
+from .provenance import provenance, write_json
+from .series import unit_of
+from .simulation import Recorder, Run, Simulation
 
 
 def check_new(folder: Path) -> None:
@@ -45,40 +48,69 @@ def read_json(path: Path) -> dict[str, Any]:
     return data
 
 
-class TableRecorder:
+def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What scene.json holds: the scene function's name and every argument, and how the run was set up."""
+    scene = simulation.scene
+    if not scene.parameters:
+        raise RunFolderError(f"scene {scene.name!r} has no parameters to save; make it with a scene function")
+    return {
+        "scene": scene.name,
+        "parameters": dict(scene.parameters),
+        "device": str(simulation.device),
+        "precision": simulation.precision,
+        "command": command or {},
+        "provenance": provenance(simulation.device, simulation.precision, scene.seed),
+    }
+
+
+class TableRecorder(Recorder):
     """Makes the folder; writes scene.json at the start, series.csv row by row, result.json at the end.
 
-    Rows are flushed as they come, so an interrupted or killed run keeps all that it sampled.
+    Rows are flushed as they come, so an interrupted or killed run keeps all that it sampled. `command` are settings
+    to keep in scene.json for a resumed run.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, command: dict[str, Any] | None = None) -> None:
+        self.folder, self.command = folder, command
         self._file: TextIO | None = None
+        self._writer: Any = None
+
+    @property
+    def _series(self) -> Path:
+        return self.folder / "series.csv"
 
     def start(self, simulation: Simulation) -> None:
         """Create the folder and scene.json."""
         check_new(self.folder)
-        record = scene_record(simulation)
+        record = scene_record(simulation, self.command)
         try:
             self.folder.mkdir(parents=True)
         except OSError as error:
             raise RunFolderError(f"out = '{self.folder}': cannot be created ({error.strerror})") from error
         write_json(self.folder / "scene.json", record)
-        self._file = (self.folder / "series.csv").open("w", newline="")
-        self._writer: Any = None
+        self._file = self._series.open("w", newline="")
+
+    def resume(self, simulation: Simulation, memory: dict[str, Any]) -> None:
+        """Cut series.csv back to the checkpoint."""
+        there = self._series.stat().st_size if self._series.is_file() else 0
+        if there < memory["bytes"]:
+            raise RunFolderError(f"'{self._series}': is shorter than at the checkpoint; the run cannot be resumed")
+        os.truncate(self._series, memory["bytes"])
+        self._file = self._series.open("a", newline="")
+        self._writer = csv.writer(self._file)
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Append a row; the header names each column's unit."""
-        if self._file is None:
-            return
+        assert self._file is not None
         if self._writer is None:
             self._writer = csv.writer(self._file)
             self._writer.writerow([f"{name} [{unit_of(name)}]" for name in row])
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
         self._file.flush()
 
-    def frame(self, simulation: Simulation) -> None:
-        """Nothing: frames go to the pictures."""
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Length of series.csv."""
+        return {"bytes": self._series.stat().st_size}
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Close series.csv and write result.json."""

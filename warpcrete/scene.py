@@ -256,7 +256,7 @@ class TimeStep:
     fixed: float | None = None
     """[s]; None: from masses and live stiffness."""
     safety: float = 0.8
-    """Share of the estimated stable step."""
+    """Share of the estimated stable step; above 1 overrules the estimate, also for a fixed step."""
     largest: float = 1e-3
     """Cap of the automatic step [s]."""
     interval: int = 20
@@ -265,8 +265,7 @@ class TimeStep:
     def __post_init__(self) -> None:
         if self.fixed is not None:
             positive("time_step", self.fixed, "s", "leave it out for an automatic step")
-        positive("safety", self.safety)
-        between("safety", self.safety, 1e-3, 1.0)
+        between("safety", self.safety, 1e-3, 4.0)
         positive("largest time step", self.largest, "s")
         if self.interval < 1:
             refuse("interval", self.interval, "must be 1 step or more")
@@ -284,6 +283,27 @@ class Settle:
     def __post_init__(self) -> None:
         between("settle duration", self.duration, 0, np.inf, "s")
         between("local_damping", self.local_damping, 0, 0.99)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch:
+    """Limits past which a run stops with an InstabilityError. NaN is always one."""
+
+    overlap: float | None = 1.0
+    """Of the overlap that swallows the smaller sphere whole or halves the distance of the centres, whichever comes
+    first, or brings a centre behind a wall; checked at every sample. None: no limit."""
+    speed: float = 1e3
+    """[m/s], of any body, checked in every step."""
+    energy: float | None = 0.5
+    """Share of all energy in play that may appear without work of walls, drives or gravity; checked at every
+    sample. None: no limit."""
+
+    def __post_init__(self) -> None:
+        if self.overlap is not None:
+            positive("watch.overlap", self.overlap)
+        positive("watch.speed", self.speed, "m/s")
+        if self.energy is not None:
+            positive("watch.energy", self.energy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,6 +332,7 @@ class Scene:
     local_damping: float = 0.0
     settle: Settle | None = None
     time_step: TimeStep = field(default_factory=TimeStep)
+    watch: Watch = field(default_factory=Watch)
     sample_interval: float = 0.01
     """Simulated time between two rows of the series [s]."""
     seed: int = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -10,10 +11,12 @@ import warp as wp
 from .dem import StableStep, make_bonds, reassign_bonds, step_stages
 from .errors import CapacityError, InstabilityError, refuse
 from .kernels.types import DT, DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
+from .kernels.wall_motion import SPEED_LIMIT
 from .model import Model
 from .neighbors import NeighborLists
 from .scene import Bonds, TimeStep
 from .state import State
+from .watch import unstable
 
 SKIN = 0.35  # of the mean sphere radius; the cost of a pumping step is flat from 0.3 to 0.75
 
@@ -36,18 +39,29 @@ class Stepper:
         growth_end: float = 1.0,
         skin: float | None = None,
         sort_every: int = 20,
+        memory: dict[str, Any] | None = None,
     ) -> None:
         self.model, self.state, self.time_step = model, state, time_step
         radii = state.sphere_offset.numpy()[:, 3]
         mean = float(radii.mean()) if len(radii) else 1.0
         self.skin = SKIN * mean if skin is None else skin
+        if memory is not None:
+            self.skin = memory["skin"]
         self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin, sort_every=sort_every)
         self.stable_step = StableStep(model, state)
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
         self._graphs: dict[int, wp.Graph] = {}
         self._since_estimate = math.inf
         self.running = False  # until then an unstable fixed step is bad input, later an instability
-        self.rebuild()
+        if memory is None:
+            self.rebuild()
+        else:
+            self.lists.builds, self._since_estimate = memory["builds"], memory["since_estimate"]
+            self._record()
+
+    def memory(self) -> dict[str, Any]:
+        """What a stepper needs, besides the state, to go on as this one would."""
+        return {"skin": self.skin, "builds": self.lists.builds, "since_estimate": self._since_estimate}
 
     @property
     def time(self) -> float:
@@ -118,11 +132,12 @@ class Stepper:
         stable = self.stable_step(self.model, self.state)
         fixed = self.time_step.fixed
         if fixed is not None:
-            if fixed > stable:
+            if fixed > stable * max(1.0, self.time_step.safety):
                 what = f"is above the stable step of this scene, {stable:.3g} s"
                 if self.running:
                     raise InstabilityError(
-                        f"time_step = {fixed!r}: {what} at t = {self.time:.6g} s; choose a smaller one"
+                        f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller step, or none "
+                        "given for an automatic one"
                     )
                 refuse("time_step", fixed, what, "leave it out for an automatic step")
             dt = fixed
@@ -168,15 +183,18 @@ class Stepper:
         if flags[int(FAILED)] < 0:
             wall = self.model.walls[-1 - int(flags[int(FAILED)])].name
             raise InstabilityError(
-                f"driven wall {wall!r} left all bounds at t = {self.time:.6g} s; give it more mass or damping"
+                f"t = {self.time:.6g} s: driven wall {wall!r} is faster than {SPEED_LIMIT:g} m/s; "
+                "usual cures: more mass or damping of the wall, a smaller time step"
             )
         if flags[int(FAILED)]:
             place = int(flags[int(FAILED)]) - 1
             body = int(self.state.body_id.numpy()[place])
             speed = float(np.linalg.norm(self.state.body_velocity.numpy()[place]))
-            raise InstabilityError(
-                f"body {body} left all bounds at t = {self.time:.6g} s (its speed before was {speed:.3g} m/s); "
-                "try a smaller time step (safety below 0.8) or softer contacts"
+            limit = self.model.scene.watch.speed
+            raise unstable(
+                self.time,
+                body,
+                f"speed goes from {speed:.3g} m/s past watch.speed = {limit:g} m/s in one step, or is not a number",
             )
         if flags[int(OVERFLOW)]:
             raise CapacityError(

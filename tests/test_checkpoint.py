@@ -1,0 +1,314 @@
+"""Checkpoint and resume: the bits of an uncut run; damaged or foreign files are refused; a kill corrupts nothing."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from test_pipe import SMALL, command, small_options
+
+from warpcrete import clumps, scenes
+from warpcrete.axis import Axis, Line
+from warpcrete.errors import RunFolderError
+from warpcrete.laws import Contact
+from warpcrete.provenance import fingerprint, state_hash
+from warpcrete.record_rerun import RerunRecorder
+from warpcrete.record_usd import UsdRecorder
+from warpcrete.run_folder import TableRecorder
+from warpcrete.scene import Bodies, Bonds, Driven, Hydration, MeshWall, PlaneWall, Prescribed, Scene, TimeStep
+from warpcrete.simulation import Recorder, Simulation
+
+KILLS = 3
+
+
+def mixed_scene(seed=0, energy_balance=False) -> Scene:
+    """A heap of clumps in a spinning mesh drum under a driven plate: every part of a state is in use."""
+    random = np.random.default_rng(seed)
+    vertices, faces = Axis((0, 0, 0), (0, 0, 1), (Line(0.2),)).tube(0.055, 24)
+    template = clumps.reference()[1]
+    grid = np.stack(np.meshgrid(*[np.arange(4) - 1.5] * 3, indexing="ij"), -1).reshape(-1, 3)
+    bonds = Bonds(tensile_strength=300.0, cohesion=150.0, healing=True)
+    return Scene(
+        name="mixed",
+        duration=0.12,
+        sample_interval=0.004,
+        bodies=(
+            Bodies(
+                positions=0.017 * grid + random.normal(scale=5e-4, size=grid.shape) + [0, 0, 0.045],
+                sizes=random.uniform(0.009, 0.014, len(grid)),
+                template=template,
+                spins=random.normal(scale=20.0, size=grid.shape),
+            ),
+        ),
+        walls=(
+            PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1)),
+            PlaneWall(
+                name="plate", point=(0, 0, 0.1), normal=(0, 0, -1), motion=Driven(direction=(0, 0, -1), force=5, mass=0.1)
+            ),
+            MeshWall(
+                name="drum", vertices=vertices, faces=faces, motion=Prescribed(spin=(0, 0, 8.0), ramp_time=0.05)
+            ),
+        ),
+        contact=Contact(friction=0.3, shear_damping_ratio=0.1),
+        bonds=bonds,
+        hydration=Hydration(share=0.3, bonds=Bonds(effective_modulus=1e5)),
+        time_step=TimeStep(interval=7),
+        energy_balance=energy_balance,
+        seed=seed,
+    )  # fmt: skip
+
+
+class Cut(Recorder):
+    """Writes a checkpoint after a row, and optionally stops there."""
+
+    def __init__(self, path, row, stop):
+        self.path, self.row, self.stop = path, row, stop
+
+    def sample(self, simulation, row):
+        if len(simulation.rows) == self.row + 1:
+            simulation.stop_requested = self.stop
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("row", [0, 1, 13, 29])
+def test_a_resumed_run_holds_the_bits_of_an_uncut_one(device, precision, row, tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    scene = mixed_scene(energy_balance=True)
+    uncut = Simulation(scene, device=device, precision=precision)
+    whole = uncut.run()
+    first = Simulation(
+        scene, device=device, precision=precision, checkpoint_path=path, recorders=[Cut(path, row, stop=True)]
+    )
+    assert not first.run().finished
+    second = Simulation(scene, device=device, precision=precision, recorders=[Recorder()])
+    second.resume(path)
+    rest = second.run()
+    assert state_hash(second.state) == state_hash(uncut.state)
+    assert whole.result["state_hash"] == rest.result["state_hash"] == state_hash(uncut.state)
+    assert list(whole.series) == list(rest.series)
+    for name in whole.series:
+        assert np.array_equal(whole.series[name], rest.series[name], equal_nan=True), name
+    assert whole.series["bonds"].max() > 20 and whole.series["broken_tension"][-1] > 0
+    # More than the hash sees: the order in memory, the lists, all of it.
+    for name, array in vars(uncut.state).items():
+        if hasattr(array, "numpy") and not name.startswith("pair_"):
+            assert np.array_equal(array.numpy(), getattr(second.state, name).numpy()), name
+
+
+def test_a_cut_may_fall_between_any_two_steps(device, tmp_path):
+    scene = mixed_scene()
+    one = Simulation(scene, device=device)
+    one.prepare()
+    one.stepper.take(101)
+    one.save(tmp_path / "a.npz")
+    one.stepper.take(257)
+    other = Simulation(scene, device=device)
+    other.resume(tmp_path / "a.npz")
+    other.stepper.take(257)
+    assert state_hash(one.state) == state_hash(other.state)
+
+
+def test_two_runs_hold_the_same_bits_and_other_seeds_do_not(device):
+    runs = [Simulation(mixed_scene(seed), device=device).run() for seed in (0, 0, 1)]
+    hashes = [run.result["state_hash"] for run in runs]
+    assert hashes[0] == hashes[1] != hashes[2]
+    assert len(hashes[0]) == 64
+
+
+def test_fingerprints_tell_scenes_apart():
+    one = mixed_scene()
+    assert fingerprint(one) == fingerprint(mixed_scene())
+    assert fingerprint(one) != fingerprint(mixed_scene(1))
+    assert fingerprint(scenes.pipe()) == fingerprint(scenes.pipe())
+    for change in (dict(friction=0.06), dict(shapes="reference"), dict(unit="horizontal"), dict(elbow_radius=0.6)):
+        base = dict(unit="elbow-up") if "elbow_radius" in change else {}
+        assert fingerprint(scenes.pipe(**base)) != fingerprint(scenes.pipe(**(base | change))), change
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    simulation = Simulation(mixed_scene(), device="cpu")
+    simulation.prepare()
+    simulation.save(path)
+    return path
+
+
+def test_a_truncated_checkpoint_is_refused_wherever_it_ends(saved):
+    whole = saved.read_bytes()
+    for share in (0.0, 0.01, 0.3, 0.7, 0.99, 1 - 1 / len(whole)):
+        saved.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(RunFolderError, match="damaged or no checkpoint"):
+            Simulation(mixed_scene(), device="cpu").resume(saved)
+    with pytest.raises(RunFolderError, match="there is no checkpoint"):
+        Simulation(mixed_scene(), device="cpu").resume(saved.with_name("other.npz"))
+
+
+def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
+    with pytest.raises(RunFolderError, match="belongs to another scene"):
+        Simulation(mixed_scene(1), device="cpu").resume(saved)
+    with pytest.raises(RunFolderError, match="precision 'float32', not 'float64'"):
+        Simulation(mixed_scene(), device="cpu", precision="float64").resume(saved)
+    with pytest.raises(RunFolderError, match="written with 0 recorders"):
+        Simulation(mixed_scene(), device="cpu", recorders=[Recorder()]).resume(saved)
+    with np.load(saved) as file:
+        arrays = dict(file)
+    arrays["state/body_position"] = arrays["state/body_position"] + 1e-3
+    np.savez(saved, **arrays)
+    with pytest.raises(RunFolderError, match="do not match its digest"):
+        Simulation(mixed_scene(), device="cpu").resume(saved)
+    np.savez(saved, somebody="else")
+    with pytest.raises(RunFolderError, match="is not a checkpoint of warpcrete"):
+        Simulation(mixed_scene(), device="cpu").resume(saved)
+    saved.write_text("no archive")
+    with pytest.raises(RunFolderError, match="damaged or no checkpoint"):
+        Simulation(mixed_scene(), device="cpu").resume(saved)
+
+
+def recorded_frames(path) -> dict:
+    """All that a recording holds, by entity, time and component; without Rerun's own row numbers and clocks."""
+    from rerun.chunk import RrdReader
+
+    found: dict = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        names = [n for n in batch.schema.names if n not in ("log_time", "log_tick") and "RowId" not in n]
+        for row in range(batch.num_rows):
+            values = {n: batch.column(n)[row] for n in names}
+            key = (str(chunk.entity_path), str(values.get("step")))
+            if not key[0].startswith("/__"):
+                kept = {n: str(v.as_py()) for n, v in values.items() if n not in ("time", "step") and v.is_valid}
+                found.setdefault(key, {}).update(kept)
+    return found
+
+
+def test_series_recording_and_usd_of_a_resumed_run_are_those_of_an_uncut_one(tmp_path):
+    from pxr import Usd
+
+    scene = scenes.pipe(**(SMALL | dict(travel=0.04)))
+
+    def recorders(folder):
+        return [TableRecorder(folder), RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc")]
+
+    Simulation(scene, device="cpu", recorders=recorders(tmp_path / "whole")).run()
+    folder = tmp_path / "cut"
+    checkpoint = folder / "checkpoint.npz"
+    cut = [*recorders(folder), Cut(checkpoint, 11, stop=True)]
+    first = Simulation(scene, device="cpu", recorders=cut, checkpoint_path=checkpoint, checkpoint_every=0.0)
+    assert not first.run().finished
+    # What a killed process might leave behind after its last checkpoint.
+    with (folder / "series.csv").open("a") as file:
+        file.write("1,2,3\n4,5")
+    (folder / "run-0050.rrd").write_bytes(b"half a p")
+    for number in range(3):
+        second = Simulation(
+            scene, device="cpu", recorders=[*recorders(folder), Cut(checkpoint, 14 + number, stop=number < 2)],
+            checkpoint_path=checkpoint,
+        )  # fmt: skip
+        second.resume(checkpoint)
+        assert second.run().finished == (number == 2)
+    assert not checkpoint.exists()
+    assert [p.name for p in folder.glob("*run*")] == ["run.rrd"]
+    assert (folder / "series.csv").read_bytes() == (tmp_path / "whole" / "series.csv").read_bytes()
+    texts = []
+    for name in ("whole", "cut"):
+        stage = Usd.Stage.Open(str(tmp_path / name / "scene.usdc"))
+        texts.append(stage.GetRootLayer().ExportToString())
+    assert texts[0] == texts[1]
+    frames = [recorded_frames(tmp_path / name / "run.rrd") for name in ("whole", "cut")]
+    assert frames[0].keys() == frames[1].keys()
+    assert len(frames[0]) > 40
+    assert frames[0] == frames[1]
+    assert any("position" in name for values in frames[0].values() for name in values)
+
+
+def kill_at(folder, delay: float, *arguments, after_checkpoint: bool = True) -> None:
+    """Start the command and kill the process, `delay` seconds after its start or after its next checkpoint."""
+    code = "from warpcrete.cli import main; main()"
+    path = folder / "checkpoint.npz"
+    old = path.stat().st_mtime_ns if path.is_file() else 0
+    process = subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 120
+    while after_checkpoint and process.poll() is None and time.monotonic() < end:
+        if path.is_file() and path.stat().st_mtime_ns != old:
+            break
+        time.sleep(0.002)
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
+    options = small_options(travel=travel, seed=5)
+    whole = tmp_path / "whole"
+    done = command("run", "pipe", *options, "--out", whole, "--device", "cpu", "--quiet", "--checkpoint-every", 0)
+    assert done.returncode == 0, done.stderr
+    random = np.random.default_rng(kills)
+    folder = tmp_path / "killed"
+    every = 0.05
+    first = ("run", "pipe", *options, "--out", folder, "--device", "cpu", "--quiet", "--checkpoint-every", every)
+    kill_at(folder, random.uniform(0, 0.3), *first)
+    reached, rows = [], 0
+    for kill in range(kills):
+        # Whatever the moment: every file of the folder is whole, or a part that is thrown away.
+        json.loads((folder / "scene.json").read_text())
+        assert (folder / "checkpoint.npz").is_file()
+        with np.load(folder / "checkpoint.npz") as file:
+            clock = file["state/clock"]
+        reached.append(float(clock[0]))
+        lines = (folder / "series.csv").read_text().split("\n")
+        assert all(line.count(",") == lines[0].count(",") for line in lines[:-1])
+        assert len(lines) - 1 >= rows  # what stood at a checkpoint stays
+        rows = round(clock[0] / 0.01)
+        if kill < kills - 1:
+            early = kill % 3 == 2
+            delay = random.uniform(0.3, 2.5) if early else random.uniform(0.0, 0.15)
+            kill_at(folder, delay, "run", "--resume", folder, "--quiet", after_checkpoint=not early)
+            if not (folder / "checkpoint.npz").exists():
+                break  # it was faster
+    assert reached == sorted(reached)
+    if (folder / "checkpoint.npz").exists():
+        done = command("run", "--resume", folder, "--quiet")
+        assert done.returncode == 0, done.stderr
+    results = [json.loads((f / "result.json").read_text()) for f in (whole, folder)]
+    assert results[1]["finished"] and results[0]["state_hash"] == results[1]["state_hash"]
+    assert (folder / "series.csv").read_bytes() == (whole / "series.csv").read_bytes()
+    frames: dict = {}
+    for part in sorted(folder.glob("run*.rrd")):  # several if the last kill came while they were being joined
+        for key, values in recorded_frames(part).items():
+            frames.setdefault(key, {}).update(values)
+    assert frames == recorded_frames(whole / "run.rrd")
+    left = {path.name for path in folder.iterdir() if not path.name.startswith(("run-", "partial-run"))}
+    assert left == {"scene.json", "series.csv", "result.json", "pressure.png", "run.rrd", "scene.usdc"}
+    return len(reached)
+
+
+def test_killed_runs_resume_to_the_same_bits(tmp_path):
+    killed_again_and_again(tmp_path, KILLS, 0.06)
+
+
+@pytest.mark.slow
+def test_twenty_kills_corrupt_nothing(tmp_path):
+    assert killed_again_and_again(tmp_path, 20, 0.5) == 20
+
+
+def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
+    done = command("run", "--resume", tmp_path / "none")
+    assert done.returncode == 2 and "is no run folder" in done.stderr
+    folder = tmp_path / "run"
+    options = small_options(travel=0.02)
+    done = command("run", "pipe", *options, "--out", folder, "--device", "cpu", "--quiet", "--no-usd", "--no-rerun")
+    assert done.returncode == 0, done.stderr
+    done = command("run", "--resume", folder)
+    assert done.returncode == 2 and "that run is finished" in done.stderr
+    (folder / "result.json").unlink()
+    done = command("run", "--resume", folder)
+    assert done.returncode == 2 and "holds no checkpoint" in done.stderr and "scene.json" in done.stderr
+    (folder / "checkpoint.npz").write_bytes(b"PK\x03\x04")
+    done = command("run", "--resume", folder)
+    assert done.returncode == 2 and "damaged" in done.stderr and "Traceback" not in done.stderr
+    done = command("run", "pipe", "--resume", folder, "--velocity", 0.5)
+    assert done.returncode == 2 and "leave out velocity" in done.stderr

@@ -1,0 +1,185 @@
+"""The main job of the command line: a scene, recorders, a run folder, a report; and going on after a cut."""
+
+from __future__ import annotations
+
+import inspect
+import signal
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .errors import RunFolderError, between, one_of, positive
+
+KEPT = ("frames", "colour", "network", "rerun", "usd", "pipeline_vertical", "pipeline_horizontal", "pipeline_other",
+        "checkpoint_every")  # fmt: skip
+
+
+def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    """Contents of a scene.json, and the module of its scene."""
+    from .run_folder import read_json
+
+    record = read_json(path)
+    if record.get("scene") not in modules or not isinstance(record.get("parameters"), dict):
+        raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(modules)})")
+    module = modules[record["scene"]]
+    known = inspect.signature(module.scene).parameters
+    unknown = sorted(set(record["parameters"]) - set(known))
+    if unknown:
+        raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
+    return record, module
+
+
+def resume(folder: Path, modules: dict[str, Any], *, quiet: bool) -> None:
+    """Go on with an interrupted run, in its folder."""
+    from .run_folder import read_json
+
+    if not (folder / "scene.json").is_file():
+        raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
+    record, module = saved_scene(folder / "scene.json", modules)
+    if not (folder / "checkpoint.npz").is_file():
+        result = folder / "result.json"
+        if result.is_file() and read_json(result).get("finished"):
+            raise RunFolderError(f"resume = '{folder}': that run is finished")
+        raise RunFolderError(
+            f"resume = '{folder}': holds no checkpoint (the run was cut before its first one, or wrote none); "
+            f"start again with 'warpcrete run {folder / 'scene.json'}'"
+        )
+    settings = dict(record.get("command", {}))
+    if set(settings) != set(KEPT):
+        raise RunFolderError(f"'{folder / 'scene.json'}': does not say how the run was recorded; it cannot be resumed")
+    if settings["pipeline_other"] is not None:
+        settings["pipeline_other"] = Path(settings["pipeline_other"])
+    run(
+        record["scene"], module, record["parameters"], out=folder, device=record.get("device"),
+        precision=record.get("precision", "float32"), live=None, quiet=quiet, going_on=True, **settings,
+    )  # fmt: skip
+
+
+def run(name: str, module, parameters: dict[str, Any], *, out, device, precision, live, frames, colour, network, rerun,
+        usd, pipeline_vertical, pipeline_horizontal, pipeline_other, checkpoint_every, quiet,
+        going_on: bool = False) -> None:  # fmt: skip
+    """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there."""
+    from .pipeline import pipeline_estimate
+    from .progress import ProgressBar
+    from .provenance import write_json
+    from .record_plot import PlotRecorder
+    from .run_folder import TableRecorder, check_new, next_folder, read_json
+    from .simulation import Recorder, Simulation
+
+    folder = out if out is not None else next_folder(name)
+    if not going_on:
+        check_new(folder)
+    positive("frames", frames, "1/s")
+    between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
+    for field, value in (("pipeline_vertical", pipeline_vertical), ("pipeline_horizontal", pipeline_horizontal)):
+        if value is not None:
+            between(field, value, 0, float("inf"), "m")
+    other = read_json(pipeline_other / "result.json") if pipeline_other else None
+    if other is not None and ("plateau_pressure" not in other or "concrete_length" not in other):
+        raise RunFolderError(f"pipeline_other = '{pipeline_other}': is not the folder of a finished pipe run")
+
+    scene = module.scene(**parameters)
+    piped = pipeline_vertical is not None or pipeline_horizontal is not None
+    if piped:
+        straight = ("vertical", "horizontal")
+        one_of("unit", scene.notes.get("unit"), straight)
+        if other is not None:
+            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
+    settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal,
+                               str(pipeline_other) if pipeline_other else None, checkpoint_every)))  # fmt: skip
+    recorders: list[Recorder] = []
+    recorders.append(TableRecorder(folder, settings))
+    if rerun or live:
+        from .record_rerun import RerunRecorder
+
+        target = True if live == "spawn" else (live or False)
+        recorders.append(
+            RerunRecorder(folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
+        )
+    if usd:
+        from .record_usd import UsdRecorder
+
+        recorders.append(UsdRecorder(folder / "scene.usdc", colouring=colour))
+    recorders.append(PlotRecorder(folder / "pressure.png", scene.notes.get("paper")))
+
+    progress = ProgressBar()
+    simulation = Simulation(
+        scene,
+        device=device,
+        precision=precision,
+        recorders=recorders,
+        frame_interval=1.0 / frames,
+        progress=False if quiet else progress,
+        checkpoint_path=folder / "checkpoint.npz" if checkpoint_every else None,
+        checkpoint_every=checkpoint_every,
+    )
+    for line in scene.notes.get("simplified", ()):
+        click.echo(f"note: {line}", err=True)
+
+    def stop(signum, frame) -> None:
+        # The first Ctrl-C ends the run at its next sample, a second one at once; none disturbs the writing.
+        if simulation.finishing:
+            return
+        if simulation.stop_requested:
+            raise KeyboardInterrupt
+        simulation.stop_requested = True
+
+    previous = signal.getsignal(signal.SIGINT)
+    try:
+        if going_on:
+            simulation.resume(folder / "checkpoint.npz")
+        else:
+            simulation.prepare()
+        signal.signal(signal.SIGINT, stop)
+        finished_run = simulation.run()
+    finally:
+        signal.signal(signal.SIGINT, previous)
+        progress.close()
+    if finished_run.folder is not None and piped and "plateau_pressure" in finished_run.result:
+        finished_run.result["pipeline_estimate"] = pipeline_estimate(
+            finished_run, pipeline_vertical or 0.0, pipeline_horizontal or 0.0, other
+        )
+        write_json(finished_run.folder / "result.json", finished_run.result)
+    report(finished_run, module)
+    if not finished_run.finished:
+        raise SystemExit(130)
+
+
+def report(run, module) -> None:
+    """Print the figures that people look at first."""
+    result = run.result
+
+    def show(label: str, text: str) -> None:
+        click.echo(f"{label:<20s} {text}")
+
+    click.echo()
+    if "plateau_pressure" in result:
+        paper = run.scene.notes.get("paper", {})
+
+        def beside(key: str) -> str:
+            return f"   (Zhan et al. 2019: {paper[key] / 1e3:.2f} kPa)" if key in paper else ""
+
+        peak, at = result["peak_pressure"]["value"], result["peak_travel"]["value"]
+        show("peak pressure", f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{beside('peak')}")
+        show("plateau pressure", f"{result['plateau_pressure']['value'] / 1e3:.2f} kPa{beside('plateau')}")
+    if "pipeline_estimate" in result:
+        estimate = result["pipeline_estimate"]
+        show("pipeline, Eq. 13", f"{estimate['total_pressure']['value'] / 1e6:.2f} MPa; other direction from "
+             f"{estimate['other_direction_from']}")  # fmt: skip
+    if run.packing:
+        show("packing", f"{run.packing.bodies} aggregates, solid fraction {run.packing.solid_fraction:.3f}, "
+             f"{run.packing.coordination_number:.1f} neighbours each")  # fmt: skip
+    speed = result["speed"]
+    total = sum(speed[k]["value"] for k in ("packing_time", "settling_time", "wall_time"))
+    show("time", f"{total:.0f} s for {result['steps']} steps ({speed['steps_per_second']['value']:.0f} a second) "
+         f"on {result['provenance']['device']}")  # fmt: skip
+    if run.finished:
+        for name, (passed, found) in module.check(run).items():
+            show("check", f"{'ok  ' if passed else 'FAIL'} {name}: {found}")
+    else:
+        show("interrupted", f"at t = {result['simulated_time']['value']:.3f} s; everything so far is written")
+        if (run.folder / "checkpoint.npz").is_file():
+            show("go on with", f"warpcrete run --resume {run.folder}")
+    if run.folder is not None:
+        show("run folder", f"{run.folder}   (warpcrete view {run.folder})")
