@@ -44,6 +44,7 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool, 
     Segment = axis.Segment
     closest_on_axis = axis.closest_on_axis
     turned, spin_of = rotation_functions(scalar)
+    single = scalar is wp.float32
 
     @wp.kernel(module="unique", enable_backward=False)
     def move(
@@ -71,6 +72,7 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool, 
         moment: wp.array(dtype=t.vec3),
         sphere_lost: wp.array(dtype=wp.float64),
         body_position: wp.array(dtype=t.vec3),
+        body_rounding: wp.array(dtype=t.vec3),
         body_velocity: wp.array(dtype=t.vec3),
         body_spin: wp.array(dtype=t.vec3),
         body_orientation: wp.array(dtype=t.quat),
@@ -120,7 +122,15 @@ def body_kernel(scalar, clumps: bool, drives: bool, growth: bool, meshes: bool, 
         if not (speed <= speed_limit):
             flags[FAILED] = b + 1
             return
-        x += dt * velocity
+        if wp.static(single):
+            # What rounding took from one step is given back in the next: a step far below the resolution of
+            # the position still counts.
+            way = dt * velocity + body_rounding[b]
+            after = x + way
+            body_rounding[b] = way - (after - x)
+            x = after
+        else:
+            x += dt * velocity
         body_position[b] = x
         body_velocity[b] = velocity
 

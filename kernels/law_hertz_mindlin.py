@@ -1,8 +1,8 @@
 """Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
 
 Dashpots after Tsuji et al. 1992 in the form of Antypov & Elliott 2011, whose restitution coefficient does not
-depend on speed. Shear force is incremental; when the normal load falls it falls with the tangent stiffness
-(Thornton et al. 2013), or unloading would create energy.
+depend on speed. Shear force is incremental; when the normal load falls it either falls with the tangent stiffness
+(`rescale`; Thornton et al. 2013), which never creates energy, or holds, as in the simplest codes.
 """
 
 import functools
@@ -30,6 +30,7 @@ def law(scalar):
         effective_shear_modulus: scalar  # G* [Pa]
         friction: scalar
         damping: scalar  # beta
+        rescale: wp.int32
 
     @wp.func
     def stiffness(p: Parameters, touch: Touch):
@@ -74,11 +75,10 @@ def law(scalar):
             # when loading, a force that falls with the stiffness when unloading.
             share = wp.sqrt(overlap / before)
             stored = scalar(0.5) * wp.length_sq(history) / ks
-            if share < scalar(1.0):
+            released = stored * (share - scalar(1.0))
+            if share < scalar(1.0) and p.rescale != 0:
                 kept = share * history
                 released = stored * share * (scalar(1.0) - share)
-            else:
-                released = stored * (share - scalar(1.0))
         new_history, slips, lost = shear_spring(touch, kept, ks, p.friction * spring, dt)
         c = scalar(wp.static(viscous)) * p.damping
         cn = c * wp.sqrt(kn * touch.mass)

@@ -32,7 +32,8 @@ MOMENTUM = wp.constant(2)  # ..4 [kg m/s], at the middle of the last step
 LIFT = wp.constant(5)  # ..7 sum of mass times position [kg m]
 DRIVEN = wp.constant(8)  # ..10 sum of axis drive forces [N]
 DRIVE_POWER = wp.constant(11)  # of the axis drives [W]
-BODY_COLUMNS = wp.constant(12)
+REACH = wp.constant(12)  # largest coordinate [m]
+BODY_COLUMNS = wp.constant(13)
 
 
 @functools.cache
@@ -80,6 +81,7 @@ def body_probe(scalar):
             values[row, LIFT + c] = mass * x[c]
             values[row, DRIVEN + c] = driven[c]
         values[row, DRIVE_POWER] = wp.dot(driven, v)
+        values[row, REACH] = wp.max(wp.abs(x))
 
     return measure_bodies
 

@@ -301,6 +301,9 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float) -> np.ndarray
     """Centres of two layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
     between("plug_ball", ball, 0, radius, "m", f"the pipe's radius is {radius:g} m")
     positive("plug_ball", ball, "m")
+    if (radius / ball) ** 2 > 1e5:
+        refuse("plug_ball", ball, f"would take {2 * math.pi * (radius / ball) ** 2:.2g} balls to plug the pipe",
+               "use larger balls, a plate or none")  # fmt: skip
     local = []
     for layer in range(2):
         ring = radius - ball / 2

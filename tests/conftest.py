@@ -61,3 +61,21 @@ def pair_history(state) -> dict:
 def by_id(state, name: str) -> np.ndarray:
     """A body array in the order of permanent numbers."""
     return getattr(state, name).numpy()[np.argsort(state.body_id.numpy())]
+
+
+def verification(module):
+    """Test of every case of a verification module, on every device, in both precisions."""
+    cases = [pytest.param(c, id=c.name, marks=[pytest.mark.slow] if c.slow else []) for c in module.CASES]
+
+    @pytest.mark.parametrize("precision", ["float32", "float64"])
+    @pytest.mark.parametrize("case", cases)
+    def test_case(device, precision, case):
+        rows = case.run(device, precision)
+        wrong = [
+            f"{r.quantity}: {r.ours:.6g}, not {r.expected:.6g}: {r.error:.2e} > {r.tolerance:.1e}"
+            for r in rows
+            if not r.passed
+        ]
+        assert rows and not wrong, "\n".join(wrong)
+
+    return test_case

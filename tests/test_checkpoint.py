@@ -46,7 +46,8 @@ def mixed_scene(seed=0, energy_balance=False) -> Scene:
         walls=(
             PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1)),
             PlaneWall(
-                name="plate", point=(0, 0, 0.1), normal=(0, 0, -1), motion=Driven(direction=(0, 0, -1), force=5, mass=0.1)
+                name="plate", point=(0, 0, 0.1), normal=(0, 0, -1),
+                motion=Driven(direction=(0, 0, -1), force=5, mass=0.1),
             ),
             MeshWall(
                 name="drum", vertices=vertices, faces=faces, motion=Prescribed(spin=(0, 0, 8.0), ramp_time=0.05)

@@ -88,6 +88,52 @@ def view_run(run: Path) -> None:
     raise SystemExit(subprocess.call([sys.executable, "-m", "rerun", str(recording), *map(str, parts)]))
 
 
+@cli.command("verify")
+@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
+@click.option("--only", default="", help="cases whose name or group contains this")
+@click.option("--quick", is_flag=True, help="leave out the cases that take longer than a few seconds")
+@click.option("--extremes", is_flag=True, help="also run the matrix of scenes at the edge of what makes sense")
+@click.option("--out", type=click.Path(path_type=Path), help="new folder for verification.md and verification.png")
+def verify(device: str | None, precision: str, only: str, quick: bool, extremes: bool, out: Path | None) -> None:
+    """Compare with published and closed-form answers: one table, one figure; exits with 1 if a figure is off."""
+    from . import verification
+    from .model import find_device
+    from .run_folder import check_new
+
+    if out is not None:
+        check_new(out)
+    found = find_device(device)
+    results = []
+    failed = 0
+    for case, rows in verification.run_cases(str(found), precision, slow=not quick, only=only):
+        results.append((case, rows))
+        wrong = sum(not row.passed for row in rows)
+        failed += wrong
+        click.echo(
+            f"{case.group + ': ' + case.name:48s} {f'{wrong} of {len(rows)} FAIL' if wrong else f'{len(rows)} ok'}"
+        )
+    if not results and not extremes:
+        raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
+    text = f"{found.name}, {precision}\n\n" + verification.table(results)
+    if extremes:
+        from .verification import extremes as edge
+
+        outcomes = edge.matrix(str(found), precision)
+        failed += sum(not outcome.acceptable for outcome in outcomes)
+        text += "\n" + edge.table(outcomes)
+    click.echo("\n" + text)
+    if out is not None:
+        from .verification.figure import draw
+
+        out.mkdir(parents=True)
+        (out / "verification.md").write_text(text)
+        draw(results).savefig(out / "verification.png", dpi=110)
+        click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")
+    if failed:
+        raise SystemExit(1)
+
+
 def _common_options() -> list[click.Parameter]:
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),

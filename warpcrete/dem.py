@@ -106,7 +106,7 @@ def step_stages(
                 state.body_group, state.body_mass, state.body_inertia, state.body_first, state.sphere_offset,
                 state.sphere_built, state.reference_velocity, skin, sphere_share, growth_rate, growth_end, state.clock,
                 state.flags, state.scale, state.force, state.moment, state.sphere_lost, state.body_position,
-                state.body_velocity,
+                state.body_rounding, state.body_velocity,
                 state.body_spin, state.body_orientation, state.body_angular_momentum, state.sphere_position,
                 state.sphere_velocity, state.sphere_spin,
             ],

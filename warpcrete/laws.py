@@ -108,12 +108,15 @@ class HertzMindlin(ContactLaw):
     """Coulomb coefficient."""
     restitution: float = 0.9
     """Of a normal impact, 0 to 1, at any speed."""
+    unloading: str = "rescale"
+    """Shear force while the normal load falls: `rescale` with the tangent stiffness, or `hold` (can create energy)."""
 
     def __post_init__(self) -> None:
         positive("effective_modulus", self.effective_modulus, "Pa")
         positive("effective_shear_modulus", self.effective_shear_modulus, "Pa")
         between("friction", self.friction, 0, np.inf)
         between("restitution", self.restitution, 0, 1)
+        one_of("unloading", self.unloading, ("rescale", "hold"))
 
     @classmethod
     def of(cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others) -> HertzMindlin:
@@ -134,6 +137,7 @@ class HertzMindlin(ContactLaw):
             "effective_shear_modulus": self.effective_shear_modulus,
             "friction": self.friction,
             "damping": damping_ratio(self.restitution),
+            "rescale": int(self.unloading == "rescale"),
         }
 
     def frictionless(self) -> ContactLaw:

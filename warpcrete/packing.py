@@ -9,7 +9,7 @@ import numpy as np
 
 from .axis import Axis
 from .clumps import ClumpTemplate, reference
-from .errors import InstabilityError, positive, refuse
+from .errors import CapacityError, InstabilityError, positive, refuse
 from .laws import Contact, ContactLaw
 from .model import build_model
 from .probes import contact_sums
@@ -23,6 +23,7 @@ GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 TRANSIENT = 0.005  # pressure over contact modulus that aggregates reach before they have parted
 CLOSE_FRACTION = 0.75  # more than any packing of these shapes takes under kilopascals
+MOST_BODIES = 2**25  # whose arrays still fit the memory of today's largest GPU
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,12 @@ def draw(
 ) -> BodyTable:
     """Aggregates with a total of `fraction` times the container's volume, sown at well spread points."""
     wanted = fraction * container.volume
+    expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
+    if expected > MOST_BODIES:
+        raise CapacityError(
+            f"packing: {container.volume:.3g} m3 would take {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
+            "choose a smaller container or larger aggregates"
+        )
     sizes = np.empty(0)
     while np.pi / 6 * np.sum(sizes**3) < wanted:
         sizes = np.concatenate([sizes, fill.sizes.sample(max(16, len(sizes)), random)])

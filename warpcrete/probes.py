@@ -54,6 +54,8 @@ class BodySums:
     """Sum of the axis drives [N], shape (3,)."""
     drive_power: float
     """Of the axis drives [W]."""
+    reach: float
+    """Largest coordinate of a body [m]."""
 
 
 def body_sums(model: Model, state: State) -> BodySums:
@@ -61,7 +63,7 @@ def body_sums(model: Model, state: State) -> BodySums:
     n = state.body_count
     mass = float(state.body_mass.numpy().sum(dtype=float))
     if n == 0:
-        return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0)
+        return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
     values = wp.zeros((n, int(column.BODY_COLUMNS)), dtype=wp.float64, device=model.device)
     wp.launch(
         column.body_probe(model.scalar),
@@ -73,7 +75,8 @@ def body_sums(model: Model, state: State) -> BodySums:
         ],
         device=model.device,
     )  # fmt: skip
-    total = values.numpy().sum(0)
+    rows = values.numpy()
+    total = rows.sum(0)
     return BodySums(
         kinetic_energy=float(total[column.KINETIC]),
         potential_energy=float(total[column.POTENTIAL]),
@@ -82,6 +85,7 @@ def body_sums(model: Model, state: State) -> BodySums:
         centroid=total[column.LIFT : column.LIFT + 3] / mass,
         drive_force=total[column.DRIVEN : column.DRIVEN + 3],
         drive_power=float(total[column.DRIVE_POWER]),
+        reach=float(rows[:, column.REACH].max()),
     )
 
 
@@ -176,3 +180,8 @@ def fastest_body(model: Model, state: State) -> int:
     wrong = np.flatnonzero(~np.isfinite(speed))
     place = int(wrong[0]) if len(wrong) else int(np.argmax(np.linalg.norm(state.body_velocity.numpy(), axis=1)))
     return int(state.body_id.numpy()[place])
+
+
+def farthest_body(state: State) -> int:
+    """Permanent number of the body farthest from the origin."""
+    return int(state.body_id.numpy()[np.abs(state.body_position.numpy()).max(1).argmax()])

@@ -267,8 +267,8 @@ class TimeStep:
             positive("time_step", self.fixed, "s", "leave it out for an automatic step")
         between("safety", self.safety, 1e-3, 4.0)
         positive("largest time step", self.largest, "s")
-        if self.interval < 1:
-            refuse("interval", self.interval, "must be 1 step or more")
+        if isinstance(self.interval, bool) or not isinstance(self.interval, int) or self.interval < 1:
+            refuse("interval", self.interval, "must be a whole number of steps, 1 or more")
 
 
 @dataclass(frozen=True, kw_only=True)

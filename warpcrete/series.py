@@ -39,6 +39,7 @@ UNITS = {
     "largest_overlap": "1",
     "deepest_overlap": "1",
     "time_step": "s",
+    "reach": "m",
 }
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
 
@@ -122,6 +123,7 @@ class Sampler:
             "largest_overlap": contacts.largest_overlap,
             "deepest_overlap": contacts.deepest,
             "time_step": float(clock[1]),
+            "reach": bodies.reach,
         }
         for axis, letter in enumerate("xyz"):
             row[f"momentum_{letter}"] = float(bodies.momentum[axis])

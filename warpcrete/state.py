@@ -110,7 +110,7 @@ class State:
 
     BODY_ARRAYS = (
         "body_id", "body_template", "body_group", "body_size", "body_mass", "body_inertia", "body_position",
-        "body_velocity", "body_spin", "body_orientation", "body_angular_momentum",
+        "body_rounding", "body_velocity", "body_spin", "body_orientation", "body_angular_momentum",
     )  # fmt: skip
     SPHERE_ARRAYS = (
         "sphere_id", "sphere_material", "sphere_offset", "sphere_position", "sphere_velocity", "sphere_spin",
@@ -165,6 +165,7 @@ class State:
         self.body_inertia = array(inertia, t.vec3)
         self.body_first = array(first, wp.int32)
         self.body_position = array(table.position, t.vec3)
+        self.body_rounding = zeros(n, t.vec3)
         self.body_velocity = array(table.velocity, t.vec3)
         self.body_spin = array(table.spin, t.vec3)
         self.body_orientation = array(table.orientation, t.quat)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import warp as wp
+
 from .errors import InstabilityError
 from .model import Model
-from .probes import deepest_sphere, fastest_body
+from .probes import deepest_sphere, farthest_body, fastest_body
 from .series import STORED
 from .state import State
+
+COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
 
 
 class Watch:
@@ -20,8 +25,12 @@ class Watch:
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.limits = model.scene.watch
+        self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
+        # Less than what lifts everything by a hundredth of the smallest radius is of no interest.
+        mass = float(state.body_mass.numpy().sum(dtype=float))
+        self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0
+        self.scale = 0.0  # the energy in play, at its largest so far
 
     def __call__(self, row: dict[str, float]) -> None:
         """Raises :class:`InstabilityError` naming time, body, quantity and cures."""
@@ -38,11 +47,20 @@ class Watch:
                 f"(watch.overlap = {limits.overlap:g})",
                 "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap",
             )
+        resolution = self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
+        if resolution > COARSEST:
+            raise unstable(
+                time,
+                farthest_body(self.state),
+                f"at {row['reach']:.4g} m from the origin positions are rounded to {resolution:.2g} of the smallest "
+                "sphere's radius",
+                "precision float64, or the scene nearer to the origin",
+            )
         stored = sum(row[name] for name in STORED)
         work = row["wall_work"] + row["drive_work"]
         free = stored - work
         moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
-        self.scale = max(self.scale, moving, abs(work))
+        self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)
         if limits.energy is not None and free - self.least > limits.energy * self.scale:
             raise unstable(

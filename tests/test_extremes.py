@@ -1,0 +1,127 @@
+"""Scenes at the edge: each stays within bounds or stops with an error that names time, body, quantity and cures."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from warpcrete.errors import InstabilityError
+from warpcrete.laws import Contact
+from warpcrete.scene import Bodies, Scene, TimeStep, Watch
+from warpcrete.simulation import Simulation
+from warpcrete.verification import extremes
+
+CASES = list(extremes.scenes())
+SINGLES = [case for case in CASES if not case[0].startswith("corner")]
+# What must stop, with the quantity in the message, and in which precision.
+MUST_STOP = {
+    "time step 3 of the estimate": "speed|energy",
+    "modulus 10000": "overlap",
+    "two coincident centres": "overlap",
+    "all bodies in one spot": "overlap",
+    "100 kPa on 1e5 Pa": "overlap",
+    "1 km from the origin": "float32:rounded",
+}
+MAY_STOP = {"friction 10"}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("case", SINGLES, ids=[case[0] for case in SINGLES])
+def test_extreme(device, precision, case):
+    name, make, steps = case
+    found = extremes.outcome(name, make(), device, precision, steps)
+    assert found.acceptable, found
+    wanted = MUST_STOP.get(name, "")
+    if wanted.startswith("float32:"):
+        wanted = wanted[8:] if precision == "float32" else ""
+    if wanted:
+        assert re.search(wanted, found.stopped.split("usual cures")[0]), found
+    elif name not in MAY_STOP:
+        assert not found.stopped, found
+
+
+def test_corners_stay_within_bounds_or_stop(device):
+    corners = [case for case in CASES if case[0].startswith("corner")]
+    found = [extremes.outcome(name, make(), device, "float32", steps) for name, make, steps in corners]
+    assert len(found) == 2 ** len(extremes.AXES)
+    wrong = [o for o in found if not o.acceptable]
+    assert not wrong, wrong
+    assert sum(not o.stopped for o in found) > len(found) / 2
+    text = extremes.table(found)
+    assert "corners of modulus" in text
+
+
+@pytest.mark.slow
+def test_a_million_spheres(device):
+    ((name, make, steps),) = [c for c in extremes.scenes(large=True) if c[0] == "a million spheres"]
+    found = extremes.outcome(name, make(), device, "float32", steps)
+    assert found.acceptable and not found.stopped, found
+
+
+def one_sphere(**changes) -> Scene:
+    body = Bodies(positions=[[0.0, 0, 0.02], [0.0, 0, 0.08]], sizes=0.01)
+    return Scene(**(dict(name="one", duration=0.05, bodies=(body,)) | changes))
+
+
+def test_nan_stops_a_run_in_the_step_it_appears(device):
+    simulation = Simulation(one_sphere(), device=device)
+    simulation.prepare()
+    velocity = simulation.state.body_velocity.numpy().copy()
+    velocity[1, 2] = np.nan
+    simulation.state.body_velocity.assign(velocity)
+    with pytest.raises(InstabilityError, match=r"t = .*body 1: speed goes from nan .*usual cures"):
+        simulation.stepper.take(1)
+    simulation = Simulation(one_sphere(), device=device)
+    simulation.prepare()
+    spin = simulation.state.body_spin.numpy().copy()
+    spin[1, 0] = np.nan
+    simulation.state.body_spin.assign(spin)
+    with pytest.raises(InstabilityError, match=r"t = .*body 1: kinetic_energy is not a finite number"):
+        simulation.run()
+
+
+def test_speed_limit_names_body_and_speed(device):
+    scene = one_sphere(watch=Watch(speed=0.2), duration=0.1)
+    with pytest.raises(InstabilityError, match=r"t = 0\.0.*body 0: speed goes from 0\.1.*watch\.speed = 0\.2"):
+        Simulation(scene, device=device).run()
+
+
+def test_an_unstable_step_is_caught_by_its_energy_alone(device):
+    # Undamped neighbours at 3 times the estimate: the energy tells before any speed would.
+    scene = extremes.cup(restitution=1.0, dt_share=3.0, sample_interval=1e-4)
+    watch = Watch(overlap=None, speed=1e9, energy=0.5)
+    with pytest.raises(InstabilityError, match="energy grew by"):
+        Simulation(dataclasses.replace(scene, watch=watch, duration=0.1), device=device).run()
+
+
+def test_the_watch_can_be_told_to_let_it_be(device):
+    scene = extremes.cup(modulus=1e4, duration=0.15)
+    with pytest.raises(InstabilityError, match="overlap is"):
+        Simulation(scene, device=device).run()
+    assert Simulation(dataclasses.replace(scene, watch=Watch(overlap=None)), device=device).run().finished
+
+
+def test_a_fixed_step_above_the_estimate_needs_a_word(device):
+    from warpcrete.errors import SceneError
+
+    pair = Bodies(positions=[[0.0, 0, 0], [0.0099, 0, 0]], sizes=0.01)
+    scene = Scene(name="pair", duration=1e-3, bodies=(pair,), contact=Contact(friction=0))
+    simulation = Simulation(scene, device=device)
+    simulation.prepare()
+    estimate = simulation.stepper.stable_step(simulation.model, simulation.state)
+    above = TimeStep(fixed=1.1 * estimate)
+    with pytest.raises(SceneError, match="above the stable step"):
+        Simulation(dataclasses.replace(scene, time_step=above), device=device).run()
+    overruled = TimeStep(fixed=1.1 * estimate, safety=1.2)
+    assert Simulation(dataclasses.replace(scene, time_step=overruled), device=device).run().finished
+
+
+def test_far_from_the_origin_small_steps_still_count(device):
+    # 0.1 mm/s at 10 m: a step of 1e-6 s moves 1e-10 m, a ten-thousandth of what single precision resolves there.
+    body = Bodies(positions=[[10.0, 0, 0]], sizes=0.1, velocities=np.array([[0.05, 0, 0]]))
+    scene = Scene(name="far", duration=1.0, gravity=(0, 0, 0), bodies=(body,), time_step=TimeStep(fixed=1e-6))
+    simulation = Simulation(scene, device=device, precision="float32")
+    simulation.prepare()
+    simulation.stepper.take(5000)
+    assert simulation.state.body_position.numpy()[0, 0] - 10 == pytest.approx(0.05 * 5e-3, rel=5e-3)

@@ -1,0 +1,159 @@
+"""Whatever is asked for: a scene is refused with the package's own error, or runs and keeps its invariants."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from warpcrete import scenes
+from warpcrete.errors import InstabilityError, SceneError, WarpcreteError
+from warpcrete.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
+from warpcrete.probes import body_sums, contact_sums
+from warpcrete.provenance import state_hash
+from warpcrete.scene import Bodies, Bonds, Driven, PipeWall, PlaneWall, Prescribed, Scene, TimeStep, Watch
+from warpcrete.simulation import Simulation
+
+ANYTHING = st.one_of(
+    st.floats(), st.integers(-10, 10**6), st.none(), st.text(max_size=4), st.booleans(), st.just(float("inf")),
+    st.lists(st.floats(), max_size=4),
+)  # fmt: skip
+QUICK = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+RUNS = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+PARTS = {
+    Contact: (
+        "effective_modulus", "stiffness_ratio", "friction", "normal_damping_ratio", "shear_damping_ratio", "dashpot",
+    ),
+    HertzMindlin: ("effective_modulus", "effective_shear_modulus", "friction", "restitution", "unloading"),
+    LubricationLayer: ("yield_stress", "viscosity"),
+    BinghamMortar: ("effective_modulus", "shell_share", "shell_modulus", "yield_stress", "plastic_viscosity"),
+    Bonds: (
+        "effective_modulus", "tensile_strength", "cohesion", "friction_angle", "radius_multiplier", "moment_factor",
+        "gap",
+    ),
+    TimeStep: ("fixed", "safety", "largest", "interval"),
+    Watch: ("overlap", "speed", "energy"),
+    Prescribed: ("velocity", "spin", "ramp_time", "start_time"),
+    Bodies: ("sizes", "density", "velocities", "spins", "orientations"),
+    PlaneWall: ("point", "normal"),
+}  # fmt: skip
+NAMED = {"fixed": "time_step"}  # as the command's option calls it
+NEEDED = {
+    HertzMindlin: dict(effective_modulus=1e6, effective_shear_modulus=3e5),
+    Bodies: dict(positions=[[0.0, 0, 0]], sizes=0.01),
+    PlaneWall: dict(name="floor", point=(0, 0, 0), normal=(0, 0, 1)),
+}
+
+
+@QUICK
+@given(data=st.data())
+def test_parts_are_made_or_refused_by_name(data):
+    part = data.draw(st.sampled_from(list(PARTS)))
+    field = data.draw(st.sampled_from(PARTS[part]))
+    value = data.draw(ANYTHING)
+    try:
+        made = part(**(NEEDED.get(part, {}) | {field: value}))
+    except SceneError as error:
+        assert NAMED.get(field, field.split("_")[-1]) in str(error)
+        return
+    numbers = np.asarray(getattr(made, field), dtype=object).ravel()
+    assert all(math.isfinite(x) for x in numbers if isinstance(x, float))
+
+
+@QUICK
+@given(
+    name=st.sampled_from([n for n in scenes.pipe.__wrapped__.__code__.co_varnames[:45]]),
+    value=ANYTHING,
+)
+def test_the_pipe_scene_is_made_or_refused(name, value):
+    try:
+        scene = scenes.pipe(**{name: value})
+    except WarpcreteError:
+        return
+    assert isinstance(scene, Scene) and scene.duration > 0
+
+
+@st.composite
+def small_scenes(draw):
+    """A few bodies in a box that may move, with any law, and speeds that do not tear it apart."""
+    count = draw(st.integers(0, 12))
+    seed = draw(st.integers(0, 10**6))
+    random = np.random.default_rng(seed)
+    size = draw(st.floats(2e-3, 0.03))
+    places = random.uniform(-2.5 * size, 2.5 * size, (count, 3)) + [0, 0, 3 * size]
+    modulus = draw(st.sampled_from([1e4, 1e5, 1e7]))
+    friction = draw(st.sampled_from([0.0, 0.3, 5.0]))
+    contact = draw(
+        st.sampled_from(
+            [
+                Contact(effective_modulus=modulus, friction=friction),
+                HertzMindlin.of(modulus, 0.3, friction=friction, restitution=0.5),
+                LubricationLayer(contact=Contact(effective_modulus=modulus), yield_stress=50.0, viscosity=300.0),
+                BinghamMortar(effective_modulus=modulus, friction=friction),
+            ]
+        )
+    )
+    walls = [PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))]
+    if draw(st.booleans()):
+        motion = Driven(direction=(0, 0, -1), force=draw(st.floats(-1, 50)), mass=draw(st.floats(1e-3, 10)))
+        walls.append(PlaneWall(name="lid", point=(0, 0, 7 * size), normal=(0, 0, -1), motion=motion))
+    if draw(st.booleans()):
+        from warpcrete.axis import Axis, Line
+
+        walls.append(PipeWall(name="pipe", axis=Axis((0, 0, -1), (0, 0, 1), (Line(3.0),)), radius=4.5 * size))
+    bonds = Bonds(gap=0.2 * size, healing=draw(st.booleans()), tensile_strength=1e3, cohesion=1e3)
+    return Scene(
+        name="random",
+        duration=0.02,
+        sample_interval=0.005,
+        gravity=(0, 0, -draw(st.sampled_from([0.0, 9.81, 300.0]))),
+        contact=contact,
+        bonds=bonds if draw(st.booleans()) else None,
+        walls=tuple(walls),
+        bodies=(
+            Bodies(
+                positions=places, sizes=random.uniform(0.3, 1.0, count) * size, density=draw(st.floats(100, 8000)),
+                velocities=random.normal(scale=0.2, size=(count, 3)), spins=random.normal(scale=5, size=(count, 3)),
+            ),
+        ),
+        energy_balance=draw(st.booleans()),
+        watch=Watch(overlap=None),
+    )  # fmt: skip
+
+
+@RUNS
+@given(scene=small_scenes())
+def test_small_random_scenes_run_or_stop_with_our_own_error(scene):
+    simulation = Simulation(scene, device="cpu")
+    try:
+        run = simulation.run()
+    except InstabilityError as error:
+        assert "usual cures" in str(error)
+        return
+    assert run.finished
+    state = simulation.state
+    for name in ("body_position", "body_velocity", "body_spin"):
+        assert np.all(np.isfinite(getattr(state, name).numpy())), name
+    assert np.allclose(np.linalg.norm(state.body_orientation.numpy(), axis=1), 1, atol=1e-5)
+    assert sorted(state.body_id.numpy()) == list(range(state.body_count))
+    for column in ("kinetic_energy", "elastic_energy", "bond_energy"):
+        assert np.all(run.series[column] >= 0)
+    if scene.energy_balance and state.body_count:
+        assert np.all(np.diff(run.series["dissipated_energy"]) >= -1e-12)  # nothing is ever won back
+    assert contact_sums(simulation.model, state).contacts == run.series["contacts"][-1]
+    assert body_sums(simulation.model, state).mass == pytest.approx(run.bodies.mass.sum(), rel=1e-5)
+
+
+@settings(RUNS, max_examples=6)
+@given(scene=small_scenes())
+def test_the_same_scene_gives_the_same_bits(scene):
+    hashes = set()
+    for _ in range(2):
+        simulation = Simulation(scene, device="cpu")
+        try:
+            hashes.add(simulation.run().result["state_hash"])
+        except InstabilityError:
+            hashes.add(state_hash(simulation.state))
+    assert len(hashes) == 1

@@ -1,0 +1,7 @@
+"""Single contacts against exact solutions."""
+
+from conftest import verification
+
+from warpcrete.verification import contacts
+
+test_contacts = verification(contacts)

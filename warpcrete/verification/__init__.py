@@ -1,0 +1,100 @@
+"""Verification: our answers beside published or closed-form ones, with the tolerance that the measured error justifies.
+
+`run_cases` gives rows, `table` and `figure` show them; `warpcrete verify` does both. Tests run the same cases on
+every device and in both precisions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..model import build_model, find_device
+from ..scene import Scene
+from ..state import State, placed_bodies
+from ..stepper import Stepper
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: ours beside the expected one."""
+
+    quantity: str
+    ours: float
+    expected: float
+    tolerance: float
+    """Allowed |ours - expected|, relative to |expected| or, with `scale`, to that."""
+    unit: str = "1"
+    scale: float | None = None
+
+    @property
+    def error(self) -> float:
+        """|ours - expected| over |expected| or `scale`."""
+        return abs(self.ours - self.expected) / (abs(self.expected) if self.scale is None else self.scale)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is within the tolerance; NaN is not."""
+        return self.error <= self.tolerance
+
+
+@dataclass(frozen=True)
+class Case:
+    """A named set of rows."""
+
+    name: str
+    source: str
+    """Where the expected answer comes from."""
+    run: Callable[[str, str], list[Row]]
+    """(device, precision) -> rows."""
+    group: str
+    slow: bool = False
+    curves: dict[str, Any] = field(default_factory=dict)
+    """What the figure draws, filled by `run`."""
+
+
+def start(scene: Scene, device: str, precision: str) -> Stepper:
+    """A stepper for a scene whose bodies are placed one by one."""
+    model = build_model(scene, find_device(device), precision)
+    stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
+    stepper.choose_dt()
+    return stepper
+
+
+def cases() -> list[Case]:
+    """All cases, in the order of the table."""
+    from . import assemblies, bonds, clumps, contacts, impacts, stability
+
+    return [case for module in (impacts, contacts, bonds, clumps, assemblies, stability) for case in module.CASES]
+
+
+def run_cases(device: str, precision: str, *, slow: bool = True, only: str = "") -> Iterator[tuple[Case, list[Row]]]:
+    """Run every case whose name or group contains `only`, one after the other."""
+    for case in cases():
+        if (slow or not case.slow) and (only in case.name or only in case.group):
+            yield case, case.run(device, precision)
+
+
+def table(results: list[tuple[Case, list[Row]]]) -> str:
+    """Markdown table of all rows."""
+    lines = [
+        "| case | quantity | ours | expected | error | allowed | | expected from |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for case, rows in results:
+        for number, row in enumerate(rows):
+            unit = "" if row.unit == "1" else f" {row.unit}"
+            first = number == 0
+            cells = [
+                case.name if first else "", row.quantity, f"{row.ours:.6g}{unit}", f"{row.expected:.6g}{unit}",
+                _share(row.error), _share(row.tolerance), "" if row.passed else "**FAIL**",
+                case.source if first else "",
+            ]  # fmt: skip
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _share(value: float) -> str:
+    return f"{value:.1e}" if math.isfinite(value) else "-"

@@ -1,0 +1,226 @@
+"""Many bodies: momentum and angular momentum, energy books of a pumping run, Janssen's silo, the angle of repose."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..axis import Axis, Line
+from ..clumps import reference
+from ..laws import Contact
+from ..packing import Fill, PipeContainer
+from ..scene import Bodies, Bonds, Driven, PipeWall, PlaneWall, Prescribed, Scene, Settle, TimeStep
+from ..simulation import Recorder, Simulation
+from ..sizes import Gaussian, Uniform
+from . import Case, Row, start
+
+UP = (0.0, 0.0, 1.0)
+
+
+def cloud(device, precision) -> list[Row]:
+    """A thousand clumps, spinning, fly into each other without gravity or walls; nothing may appear or vanish."""
+    random = np.random.default_rng(7)
+    count = 1000
+    grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3, indexing="ij"), -1).reshape(-1, 3) - 4.5
+    places = 0.011 * grid + random.normal(scale=5e-4, size=grid.shape)
+    speeds = -3.0 * places / 0.05 + random.normal(scale=0.3, size=grid.shape)
+    spins = random.normal(scale=60.0, size=grid.shape)
+    shapes = reference()
+    scene = Scene(
+        name="cloud", duration=1.0, gravity=(0, 0, 0),
+        contact=Contact(effective_modulus=1e6, friction=0.4, shear_damping_ratio=0.2),
+        bodies=tuple(
+            Bodies(positions=places[k::4], sizes=0.009, template=shapes[k], velocities=speeds[k::4], spins=spins[k::4])
+            for k in range(4)
+        ),
+    )  # fmt: skip
+    stepper = start(scene, device, precision)
+    before = _momenta(stepper.state)
+    stepper.advance(0.05)
+    after = _momenta(stepper.state)
+    state = stepper.state
+    moved = float(np.sum(state.body_mass.numpy().astype(float) * np.linalg.norm(speeds, axis=1).mean()))
+    turned = float(np.abs(before[2]).sum())
+    tolerance = 3e-6 if precision == "float32" else 1e-13
+    slowed = float(np.linalg.norm(state.body_velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
+    return [
+        Row(
+            f"momentum of {count} clumps over all that moves",
+            float(np.linalg.norm(after[0] - before[0])) / moved,
+            0.0,
+            tolerance,
+            scale=1.0,
+        ),
+        Row(
+            "angular momentum over all that turns",
+            float(np.linalg.norm(after[1] - before[1])) / turned,
+            0.0,
+            tolerance,
+            scale=1.0,
+        ),
+        Row("they did collide: mean speed fell below half (1: yes)", float(slowed < 0.5), 1.0, 0.0),
+    ]
+
+
+def _momenta(state):
+    order = np.argsort(state.body_id.numpy())
+    mass, x, v, turn = (
+        getattr(state, f"body_{name}").numpy()[order].astype(float)
+        for name in ("mass", "position", "velocity", "angular_momentum")
+    )
+    orbital = mass[:, None] * np.cross(x, v)
+    return (
+        (mass[:, None] * v).sum(0),
+        (orbital + turn).sum(0),
+        np.linalg.norm(orbital, axis=1) + np.linalg.norm(turn, axis=1),
+    )
+
+
+def pumping(device, precision) -> list[Row]:
+    """A bonded column pushed up a pipe by a piston against a loaded plate: stored and lost energy is work done."""
+    axis = Axis((0, 0, 0), UP, (Line(0.4),))
+    radius, length = 0.035, 0.1
+    area = math.pi * radius**2
+    scene = Scene(
+        name="pump", duration=0.25, energy_balance=True, seed=1, settle=Settle(duration=0.3),
+        fill=Fill(container=PipeContainer(axis, radius, length), sizes=Gaussian(0.011, 0.005, 6e-3, 16e-3),
+                  templates=reference(), solid_fraction=0.62),
+        walls=(
+            PlaneWall(name="piston", point=(0, 0, 0), normal=UP,
+                      motion=Prescribed(velocity=(0, 0, 0.3), ramp_time=0.1)),
+            PlaneWall(name="plate", point=(0, 0, length), normal=(0, 0, -1),
+                      motion=Driven(direction=(0, 0, -1), force=2e3 * area, mass=0.5, damping=20.0)),
+            PipeWall(name="pipe", axis=axis, radius=radius),
+        ),
+        contact=Contact(friction=0.3, shear_damping_ratio=0.1),
+        # Strong enough to store energy worth booking, weak enough to break.
+        bonds=Bonds(effective_modulus=5e4, tensile_strength=800.0, cohesion=400.0),
+    )  # fmt: skip
+    errors, steps = [], []
+    for safety in (0.8, 0.2):
+        run = Simulation(replace(scene, time_step=TimeStep(safety=safety)), device=device, precision=precision).run()
+        errors.append(run.result["energy_balance_error"])
+        steps.append(run.result["steps"])
+        broken = run.series["broken_tension"][-1] + run.series["broken_shear"][-1]
+    return [
+        Row("stored + lost - work, over the work, default step", abs(errors[0]), 0.0, 5e-4, scale=1.0),
+        Row("the same with a quarter of the step", abs(errors[1]), 0.0, 3e-4, scale=1.0),
+        Row("momentum of the run, impulses over change", run.result["momentum_balance_error"], 0.0, 1e-4, scale=1.0),
+        Row("bonds broke on the way (1: yes)", float(broken > 50), 1.0, 0.0),
+    ]
+
+
+def janssen(device, precision) -> list[Row]:
+    """A silo of spheres whose floor sinks slowly, so that the wall's friction is mobilised; loads by Janssen.
+
+    Vertical equilibrium with wall friction mu and the measured ratio K of wall to vertical stress gives a load
+    m_s g (1 - exp(-m/m_s)) on the floor, m_s = rho_b pi R^3 / (2 mu K).
+    """
+    radius, height, friction = 0.03, 0.15, 0.4
+    axis = Axis((0, 0, 0), UP, (Line(0.5),))
+    rows = []
+    scene = Scene(
+        name="silo", duration=0.5, seed=2, settle=Settle(duration=0.4, local_damping=0.3),
+        fill=Fill(container=PipeContainer(axis, radius, height), sizes=Uniform(5.5e-3, 6.5e-3), solid_fraction=0.6),
+        walls=(
+            PlaneWall(name="floor", point=(0, 0, 0), normal=UP,
+                      motion=Prescribed(velocity=(0, 0, -8e-3), ramp_time=0.05)),
+            PipeWall(name="pipe", axis=axis, radius=radius),
+        ),
+        contact=Contact(effective_modulus=3e5, friction=friction, shear_damping_ratio=0.3),
+    )  # fmt: skip
+    gauge = _WallGauge(radius)
+    run = Simulation(scene, device=device, precision=precision, recorders=[gauge]).run()
+    late = run.series["time"] > 0.5 * run.series["time"][-1]
+    floor = float(-run.series["floor_force_z"][late].mean())
+    shear = float(-run.series["pipe_force_z"][late].mean())
+    weight = float(run.bodies.mass.sum()) * 9.81
+    normal = float(np.array(gauge.loads)[late].mean())
+    top = float(np.sort(run.bodies.position[:, 2])[-30:].mean())
+    bottom = float(np.sort(run.bodies.position[:, 2])[:30].mean())
+    filled = top - bottom
+    # K is the mean stress on the wall over the mean vertical stress, that of Janssen's profile with these loads.
+    wall = normal / (2 * math.pi * radius * filled)
+    area = math.pi * radius**2
+    mean_vertical = _mean_vertical(weight, floor, area)
+    ratio = wall / mean_vertical
+    limit = weight / filled * radius / (2 * friction * ratio)
+    rows += [
+        Row("load on floor and wall together over the weight", (floor + shear) / weight, 1.0, 2e-3),
+        Row("friction over wall load: mobilised", shear / (friction * normal), 1.0, 0.15),
+        Row("load on the floor", floor, limit * (1 - math.exp(-weight / limit)), 0.15, "N"),
+    ]
+    return rows
+
+
+def _mean_vertical(weight: float, floor: float, area: float) -> float:
+    """Mean over the height of the vertical stress of Janssen's profile with these loads at its ends [Pa]."""
+    # F(m) = m_s (1 - exp(-m/m_s)) with F(W) = floor: find m_s, then average F.
+    low, high = 1e-3 * weight, 1e3 * weight
+    limit = low
+    for _ in range(200):
+        limit = math.sqrt(low * high)
+        if limit * (1 - math.exp(-weight / limit)) < floor:
+            low = limit
+        else:
+            high = limit
+    return limit * (1 - limit / weight * (1 - math.exp(-weight / limit))) / area
+
+
+class _WallGauge(Recorder):
+    """Sum of normal forces on a vertical pipe [N] at every sample, from the overlaps."""
+
+    def __init__(self, radius: float) -> None:
+        self.radius = radius
+        self.loads: list[float] = []
+
+    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
+        position = simulation.state.sphere_position.numpy().astype(float)
+        overlap = np.hypot(position[:, 0], position[:, 1]) + position[:, 3] - self.radius
+        modulus = simulation.scene.contact.stress_scale
+        self.loads.append(float(np.sum(np.maximum(overlap, 0) * modulus * math.pi * position[:, 3])))
+
+
+def repose(device, precision) -> list[Row]:
+    """Columns of spheres collapse on a rough floor; the slope of the heap grows with friction."""
+    angles = []
+    values = (0.05, 0.2, 0.6)
+    for friction in values:
+        axis = Axis((0, 0, 0), UP, (Line(0.2),))
+        scene = Scene(
+            name="heap", duration=0.6, seed=3,
+            fill=Fill(container=PipeContainer(axis, 0.025, 0.06), sizes=Uniform(4.5e-3, 5.5e-3), solid_fraction=0.58),
+            walls=(PlaneWall(name="floor", point=(0, 0, 0), normal=UP),),
+            contact=Contact(effective_modulus=1e5, friction=friction, shear_damping_ratio=0.3),
+            contacts={("aggregate", "wall"): Contact(effective_modulus=1e5, friction=1.0, shear_damping_ratio=0.3)},
+        )  # fmt: skip
+        run = Simulation(scene, device=device, precision=precision).run()
+        angles.append(_slope(run.bodies.position))
+    REPOSE.curves.update(friction=np.array(values), angle=np.array(angles))
+    shown = ", ".join(f"{a:.1f}" for a in angles)
+    rises = float(np.sum(np.diff(angles) > 1.0))
+    return [
+        Row(f"rises by more than 1 degree; {shown} degrees at friction {', '.join(map(str, values))}", rises, 2.0, 0.0)
+    ]
+
+
+def _slope(position: np.ndarray) -> float:
+    """Angle of the heap's surface [degrees]: highest spheres in rings, fitted where half to nearly all of it lies."""
+    r = np.hypot(position[:, 0], position[:, 1])
+    edge = np.quantile(r, 0.85)
+    rings = np.linspace(0.0, edge, 9)
+    top = [position[(r >= a) & (r < b), 2].max(initial=0.0) for a, b in itertools.pairwise(rings)]
+    middle = 0.5 * (rings[1:] + rings[:-1])
+    return float(np.degrees(np.arctan(-np.polyfit(middle, top, 1)[0])))
+
+
+REPOSE = Case("angle of repose", "trend known from experiment: steeper with friction", repose, "assemblies", slow=True)
+CASES = [
+    Case("momentum", "conservation", cloud, "assemblies"),
+    Case("energy of a pumping run", "conservation", pumping, "assemblies"),
+    Case("Janssen's silo", "Janssen 1895, with the measured stress ratio", janssen, "assemblies", slow=True),
+    REPOSE,
+]

@@ -1,0 +1,150 @@
+"""Bonded chains against beam theory, torsional oscillation, and breakage at the predicted load."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..axis import Axis, Line
+from ..laws import Contact
+from ..scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
+from . import Case, Row, start
+
+RADIUS, DENSITY, GAP = 0.01, 2500.0, 1e-6
+LENGTH = 2 * RADIUS
+MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
+CONTACT = Contact(friction=0.0, normal_damping_ratio=0.0)
+HEAVY = 1e15
+
+
+def stiffnesses(bonds: Bonds) -> tuple[float, float, float, float]:
+    """Normal, shear [N/m], bending and torsion [N m] stiffness of a bond of two spheres (Zhan et al. 2019, Eq. 10)."""
+    normal = bonds.effective_modulus / LENGTH * math.pi * RADIUS**2
+    bending = normal * RADIUS**2 / 4
+    return normal, normal / bonds.stiffness_ratio, bending, 2 * bending / bonds.stiffness_ratio
+
+
+def cantilever(device, precision) -> list[Row]:
+    """Six spheres in a row, the first too heavy to move, a force on the last; static equilibrium."""
+    bonds = Bonds(effective_modulus=1e6, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
+    normal, shear, bending, _ = stiffnesses(bonds)
+    count, pull, push = 6, 1.0, 0.01
+    joints = count - 1
+    rows = []
+    for label, direction, force in (("tension", (1.0, 0, 0), pull), ("bending", (0, 0, 1.0), push)):
+        x = np.arange(count) * (LENGTH + GAP)
+        points = np.stack([x, 0 * x, 0 * x], 1)
+        line = Axis(tuple(points[-1] - 0.5 * np.array(direction)), direction, (Line(1.0),))
+        scene = Scene(
+            name="beam", duration=1.0, gravity=(0, 0, 0), contact=CONTACT, bonds=bonds, local_damping=0.3,
+            drives=(AxisDrive(group="tip", axis=line, force=force),),
+            bodies=(
+                Bodies(positions=points[:1], sizes=2 * RADIUS, density=HEAVY),
+                Bodies(positions=points[1:-1], sizes=2 * RADIUS, density=DENSITY),
+                Bodies(positions=points[-1:], sizes=2 * RADIUS, density=DENSITY, group="tip"),
+            ),
+        )  # fmt: skip
+        stepper = start(scene, device, precision)
+        stepper.bond(bonds, 1)
+        stepper.change(local_damping=0.3)
+        stepper.advance(3.0)
+        order = np.argsort(stepper.state.body_id.numpy())
+        tip = stepper.state.body_position.numpy()[order][-1].astype(float) - points[-1]
+        if label == "tension":
+            rows.append(Row("elongation of the chain under tension", tip[0], joints * force / normal, 5e-4, "m"))
+        else:
+            levers = np.sum((np.arange(joints) + 0.5) ** 2)
+            exact = joints * force / shear + force * LENGTH**2 / bending * levers
+            beam = force * (joints * LENGTH) ** 3 / (3 * bending * LENGTH) + joints * force / shear
+            rows.append(Row("deflection of the tip, exact for a chain", tip[2], exact, 2e-4, "m"))
+            # A chain of five joints bends 1 % less than a beam.
+            rows.append(Row("deflection of the tip, Timoshenko beam", tip[2], beam, 1.1e-2, "m"))
+    return rows
+
+
+def torsion(device, precision) -> list[Row]:
+    """A sphere bonded to one too heavy to turn swings about the bond's axis, and across it."""
+    bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
+    twisting = stiffnesses(bonds)[3]
+    inertia = 0.4 * MASS * RADIUS**2
+    omega = math.sqrt(twisting / inertia)
+    scene = _pair(bonds, spins=[[0, 0, 0], [5.0, 0, 0]], densities=(HEAVY, DENSITY), dt=2 * math.pi / omega / 2000)
+    stepper = start(scene, device, precision)
+    stepper.bond(bonds, 1)
+    rows = []
+    for turns in (1 / 3, 10 + 1 / 3):
+        stepper.advance(turns * 2 * math.pi / omega)
+        middle = omega * (stepper.time - 0.5 * stepper.dt)
+        spin = float(stepper.state.body_spin.numpy()[np.argsort(stepper.state.body_id.numpy())][1, 0])
+        rows.append(
+            Row(f"spin after {turns:.2f} periods of torsion", spin, 5.0 * math.cos(middle), 6e-5, "rad/s", scale=5.0)
+        )
+    return rows
+
+
+def _pair(bonds, *, spins=None, velocities=None, densities=(HEAVY, HEAVY), dt=1e-5) -> Scene:
+    places = np.array([[0.0, 0, 0], [LENGTH + GAP, 0, 0]])
+    return Scene(
+        name="pair", duration=1.0, gravity=(0, 0, 0), contact=CONTACT, bonds=bonds, time_step=TimeStep(fixed=dt),
+        bodies=tuple(
+            Bodies(positions=places[k][None], sizes=2 * RADIUS, density=densities[k],
+                   spins=None if spins is None else np.array(spins[k], float)[None],
+                   velocities=None if velocities is None else np.array(velocities[k], float)[None])
+            for k in (0, 1)
+        ),
+    )  # fmt: skip
+
+
+def breakage(device, precision) -> list[Row]:
+    """Two heavy bonded spheres are moved apart, sheared, bent and twisted slowly; the load at which the bond breaks."""
+    strength, cohesion, angle = 1e4, 6e3, 30.0
+    area = math.pi * RADIUS**2
+    section = area * RADIUS / 4
+    speed, rate = 1e-3, 0.2
+    rows = []
+    loads = {
+        "tension": (dict(velocities=[[0, 0, 0], [speed, 0, 0]]), 3, "force", strength * area, 4),
+        "shear": (dict(velocities=[[0, 0, 0], [0, speed, 0]]), 1, "force", cohesion * area, 5),
+        "bending": (dict(spins=[[0, 0, 0], [0, 0, rate]]), 2, "moment", strength * section, 4),
+        "torsion": (dict(spins=[[0, 0, 0], [rate, 0, 0]]), 3, "moment", cohesion * 2 * section, 5),
+        "shear under tension": (dict(velocities=[[0, 0, 0], [0.3 * speed, speed, 0]]), 1, "force", 0.0, 5),
+    }
+    for label, (motion, component, kind, expected, flag) in loads.items():
+        # Turning bodies also shear: a bond without shear stiffness keeps bending alone.
+        ratio = 1e6 if label == "bending" else 2.0
+        bonds = Bonds(
+            effective_modulus=3e7,
+            stiffness_ratio=ratio,
+            tensile_strength=strength,
+            cohesion=cohesion,
+            friction_angle=angle,
+            gap=10 * GAP,
+        )
+        normal, shear, bending, twisting = stiffnesses(bonds)
+        step = {"tension": normal * speed, "shear": shear * speed, "bending": bending * rate,
+                "torsion": twisting * rate, "shear under tension": shear * speed}[label]  # fmt: skip
+        if label == "shear under tension":
+            # c - sigma tan(phi) falls while tau grows: both in proportion to the travel.
+            slope = 0.3 * normal / shear * math.tan(math.radians(angle))
+            expected = cohesion * area / (1 + slope)
+        dt = 5e-4 * expected / step
+        stepper = start(_pair(bonds, dt=dt, **motion), device, precision)
+        stepper.bond(bonds, 1)
+        array = getattr(stepper.state, f"pair_bond_{kind}")
+        last = 0.0
+        for _ in range(2600):
+            stepper.take(1)
+            if stepper.state.flags.numpy()[flag]:
+                break
+            last = abs(float(array.numpy()[0, component]))
+        # Within one step's growth of the load, which is 5e-4 of it; sheared pairs also stretch a little.
+        rows.append(Row(f"load at breakage in {label}", last, expected, 1.2e-3, "N" if kind == "force" else "N m"))
+    return rows
+
+
+CASES = [
+    Case("bonded cantilever", "exact for a chain of bonds; Timoshenko beam", cantilever, "bonds"),
+    Case("bonded pair in torsion", "exact solution", torsion, "bonds"),
+    Case("breakage", "Zhan et al. 2019, Eqs. 11-12", breakage, "bonds"),
+]

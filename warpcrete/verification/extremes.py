@@ -1,0 +1,202 @@
+"""Scenes at the edge of what makes sense: each stays within bounds or stops with an error that says why.
+
+A cup of spheres of two sizes; its floor, the piston, comes up with full speed at once, a loaded plate lies on top.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..axis import Axis, Line
+from ..errors import InstabilityError
+from ..laws import Contact, damping_ratio
+from ..scene import Bodies, Bonds, Driven, Hydration, PipeWall, PlaneWall, Prescribed, Scene, TimeStep
+from ..series import free_energy
+from ..simulation import Simulation
+
+STEPS = 2000
+ENERGY = 0.1  # of the energy in play that may appear in a run that counts as stable
+RADIUS = 0.03
+AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scene."""
+
+    name: str
+    stopped: str
+    """The error's message; empty if the run went to its end."""
+    deepest: float
+    """Largest overlap over the one that swallows a sphere."""
+    growth: float
+    """Energy that appeared without work, over the energy in play as the watch counts it."""
+    steps: int
+
+    @property
+    def acceptable(self) -> bool:
+        """Within bounds, or stopped with time, body, quantity and cures named."""
+        if self.stopped:
+            return all(word in self.stopped for word in ("t = ", "body ", "usual cures: "))
+        return self.deepest <= 1.0 and self.growth <= ENERGY
+
+
+def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
+        load=1e3, dt_share=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
+        origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
+    """The scene; `ratio` is that of the two sizes, `load` the pressure on the plate [Pa]."""
+    random = np.random.default_rng(0)
+    large = 0.012
+    layer = 1.04 * large
+    line = (np.arange(3) - 1) * layer
+    points = np.array([(x, y, (k + 0.55) * layer) for k in range(-(-count // 9)) for x in line for y in line]).reshape(
+        -1, 3
+    )[:count]
+    points = points + random.normal(scale=1e-2 * layer, size=points.shape)
+    sizes = np.where(np.arange(count) % 2 == 0, large, large / ratio)
+    top = float(points[:, 2].max(initial=0.0)) + 0.55 * layer
+    area = math.pi * RADIUS**2
+    shift = np.array(origin)
+    settings = dict(
+        name="cup",
+        duration=1.0,
+        gravity=(0.0, 0.0, -gravity),
+        contact=Contact(effective_modulus=modulus, friction=friction, normal_damping_ratio=damping_ratio(restitution)),
+        bonds=bonds,
+        hydration=hydration,
+        bodies=(Bodies(positions=points + shift, sizes=sizes, density=density),),
+        walls=(
+            PlaneWall(name="piston", point=tuple(shift), normal=(0, 0, 1),
+                      motion=Prescribed(velocity=(0, 0, velocity))),
+            PlaneWall(name="plate", point=tuple(shift + [0, 0, top]), normal=(0, 0, -1),
+                      motion=Driven(direction=(0, 0, -1), force=load * area, mass=max(density, 100.0) * area * 0.02)),
+            PipeWall(name="pipe", axis=Axis(tuple(shift - [0, 0, 1.0]), (0, 0, 1), (Line(4.0),)), radius=RADIUS),
+        ),
+        time_step=TimeStep(safety=dt_share),
+    )  # fmt: skip
+    return Scene(**(settings | changes))
+
+
+def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
+    """Run `steps` steps under the watch."""
+    simulation = Simulation(scene, device=device, precision=precision)
+    stopped = ""
+    try:
+        simulation.prepare()
+        simulation.watch(simulation.sampler.sample())
+        for _ in range(20):
+            if scene.bodies and len(scene.bodies[0].positions):
+                simulation.stepper.take(steps // 20)
+            simulation.watch(simulation.sampler.sample())
+    except InstabilityError as error:
+        stopped = str(error)
+    rows = simulation.rows if hasattr(simulation, "sampler") else []
+    deepest = growth = 0.0
+    if rows:
+        series = simulation.sampler.series()
+        free = free_energy(series)
+        growth = float(np.max(free - np.minimum.accumulate(free)) / max(simulation.watch.scale, 1e-300))
+        deepest = float(np.max(series["deepest_overlap"]))
+    taken = simulation.stepper.steps if hasattr(simulation, "stepper") else 0
+    return Outcome(name, stopped, deepest, growth, taken)
+
+
+AXES: dict[str, tuple[float, float]] = {
+    "modulus": (1e4, 1e9),
+    "ratio": (1.0, 50.0),
+    "density": (1.0, 1e4),
+    "velocity": (0.0, 10.0),
+    "gravity": (0.0, 981.0),
+    "restitution": (0.0, 1.0),
+    "friction": (0.0, 10.0),
+}
+
+
+def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
+    """Name, scene and steps of every case: single extremes, all corners of the axes, and special ones."""
+    yield "all at their middle", cup, STEPS
+    for share in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
+        yield f"time step {share:g} of the estimate", lambda share=share: cup(dt_share=share), STEPS
+    for name, values in AXES.items():
+        for value in values:
+            yield f"{name} {value:g}", lambda name=name, value=value: cup(**{name: value}), STEPS
+    for corner in itertools.product(*AXES.values()):
+        label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
+        yield f"corner: {label}", lambda corner=corner: cup(**dict(zip(AXES, corner))), 600
+    soft = Bonds(effective_modulus=2e4, gap=2e-3)
+    stiff = Hydration(share=0.2, bonds=Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
+    yield "bonds of 2e4 Pa beside bonds of 1e9 Pa", lambda: cup(modulus=1e5, bonds=soft, hydration=stiff), STEPS
+    yield "one sphere", lambda: cup(count=1), STEPS
+    yield "no body", lambda: cup(count=0), STEPS
+    yield "two coincident centres", lambda: _moved(cup(), 1), STEPS
+    yield "all bodies in one spot", lambda: _moved(cup(), 80), STEPS
+    yield "one file of spheres in a pipe 0.5 % wider", _blocked, STEPS
+    yield "100 kPa on 1e5 Pa", lambda: cup(modulus=1e5, load=1e5), 20 * STEPS
+    yield "1 km from the origin", lambda: cup(origin=(1000.0, 0.0, 0.0)), STEPS
+    yield "10 m from the origin", lambda: cup(origin=(10.0, 0.0, 0.0)), STEPS
+    if large:
+        yield "a million spheres", _million, 20
+
+
+def _moved(scene: Scene, count: int) -> Scene:
+    """The first `count` bodies moved into the next one's place."""
+    bodies = scene.bodies[0]
+    places = bodies.positions.copy()
+    places[:count] = places[min(count, len(places) - 1)]
+    return replace(scene, bodies=(replace(bodies, positions=places),))
+
+
+def _blocked() -> Scene:
+    """Ten spheres in a row, in a pipe hardly wider than they are."""
+    size = 2 * RADIUS / 1.005
+    z = (np.arange(10) + 0.5) * size
+    base = cup()
+    top = PlaneWall(name="plate", point=(0, 0, 10 * size), normal=(0, 0, -1), motion=base.walls[1].motion)
+    return replace(
+        base,
+        bodies=(Bodies(positions=np.stack([0 * z, 0 * z, z], 1), sizes=size),),
+        walls=(base.walls[0], top, base.walls[2]),
+    )
+
+
+def _million() -> Scene:
+    count = 100
+    line = np.arange(count) * 0.0105
+    points = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+    points += np.random.default_rng(0).normal(scale=3e-4, size=points.shape)
+    points -= points.min(0) - 0.005
+    floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+    return Scene(name="million", duration=1.0, bodies=(Bodies(positions=points, sizes=0.01),), walls=(floor,))
+
+
+def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]:
+    """Run every scene."""
+    return [outcome(name, make(), device, precision, steps) for name, make, steps in scenes(large)]
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Markdown table; the corners, which are many, are summed up in one line for each way they ended."""
+    lines = ["| scene | deepest overlap | energy from nowhere | outcome |", "|---|---|---|---|"]
+    corners = [o for o in outcomes if o.name.startswith("corner")]
+    for o in outcomes:
+        if o not in corners:
+            end = f"stopped: {o.stopped}" if o.stopped else f"within bounds after {o.steps} steps"
+            lines.append(f"| {o.name} | {o.deepest:.2f} | {o.growth:.1e} | {end} |")
+    ended = [o for o in corners if not o.stopped]
+    cut = [o for o in corners if o.stopped]
+    if corners:
+        lines.append(
+            f"| {len(ended)} of {len(corners)} corners of {', '.join(AXES)} "
+            f"| up to {max(o.deepest for o in ended):.2f} | up to {max(o.growth for o in ended):.1e} | within bounds |"
+        )
+    for reason in ("overlap", "energy", "speed", "rounded", "not a finite"):
+        these = [o for o in cut if reason in o.stopped.split("usual cures")[0]]
+        cut = [o for o in cut if o not in these]
+        if these:
+            lines.append(f"| {len(these)} corners, for example {these[0].name[8:]} | | | stopped: {these[0].stopped} |")
+    return "\n".join(lines) + "\n"

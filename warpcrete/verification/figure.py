@@ -1,0 +1,77 @@
+"""One figure of the verification: errors over tolerances, two published curves, the limit of stability."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import Case, Row
+
+
+def draw(results: list[tuple[Case, list[Row]]]):
+    """Matplotlib figure of what the cases left in their `curves`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 9), layout="constrained")
+    (errors, oblique), (normalised, stability) = figure.subplots(2, 2)
+    by_name = {case.name: case for case, _ in results}
+    _errors(errors, results)
+    if "oblique impact" in by_name:
+        _oblique(oblique, by_name["oblique impact"].curves)
+    if "oblique impact, normalised" in by_name:
+        _normalised(normalised, by_name["oblique impact, normalised"].curves)
+    if "stability limit" in by_name:
+        _stability(stability, by_name["stability limit"].curves)
+    for axes in (errors, oblique, normalised, stability):
+        axes.spines[["top", "right"]].set_visible(False)
+        if not axes.has_data():
+            axes.set_axis_off()
+    return figure
+
+
+def _errors(axes, results) -> None:
+    rows = [(case, row) for case, rows in results for row in rows if row.scale is not None or row.expected != 0]
+    groups = list(dict.fromkeys(case.name for case, _ in rows))
+    for case, row in rows:
+        axes.plot(
+            max(row.error, 1e-16), len(groups) - groups.index(case.name), "o", markersize=4,
+            color="tab:blue" if row.passed else "tab:red", alpha=0.7,
+        )  # fmt: skip
+    axes.set(
+        xscale="log", xlabel="relative error", yticks=range(len(groups), 0, -1), title="every figure of every case"
+    )
+    axes.set_yticklabels(groups, fontsize=8)
+    axes.grid(axis="x", color="0.9")
+
+
+def _oblique(axes, curves) -> None:
+    from .impacts import TEST_4
+
+    axes.plot(TEST_4[:, 0], TEST_4[:, 1], "k.", label="published: tangential restitution")
+    axes.plot(curves["angle"], curves["tangential"], color="tab:blue", label="ours")
+    axes.plot(TEST_4[:, 0], TEST_4[:, 2] / -1000, "kx", label="published: -spin [1000 rad/s]")
+    axes.plot(curves["angle"], curves["spin"] / -1000, color="tab:orange", label="ours")
+    axes.set(xlabel="incident angle [degrees]", title="Chung & Ooi 2011, test 4: aluminium oxide")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _normalised(axes, curves) -> None:
+    for (name, values), colour in zip(curves.items(), ("tab:blue", "tab:orange"), strict=True):
+        x, ours, published, rigid = values
+        axes.plot(x, published, "k.")
+        axes.plot(x, ours, color=colour, label=f"rebound {name}, half the tangent stiffness")
+        axes.plot(x, rigid, ":", color=colour, label="rigid plane")
+    axes.set(xlabel="normalised incident angle", xlim=(0, 13.5), title="Chung & Ooi 2011, test 5: steel (dots)")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _stability(axes, curves) -> None:
+    from .stability import SHARES
+
+    for label, curve in curves.items():
+        finite = np.where(np.isfinite(curve), np.clip(curve, 1e-3, 1e6), 1e6)
+        axes.plot(SHARES, finite, ".-", label=label, linewidth=1)
+    axes.axvspan(0, 0.8, color="tab:green", alpha=0.08, linewidth=0)
+    axes.axhline(2.0, color="0.6", linewidth=0.8, linestyle="--")
+    axes.set(yscale="log", xlabel="time step over the estimate (default: 0.8)", ylabel="energy, last fifth over first",
+             xlim=(0.55, 3.05), title="where each contact law breaks")  # fmt: skip
+    axes.legend(frameon=False, fontsize=7)

@@ -1,0 +1,125 @@
+"""Where a run really breaks: energy growth against the time step over the estimate, for every contact law."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..axis import Axis, Line
+from ..clumps import ClumpTemplate, reference, sphere
+from ..errors import InstabilityError
+from ..laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
+from ..model import build_model, find_device
+from ..packing import Fill, PipeContainer, pack
+from ..probes import body_sums, contact_sums
+from ..scene import Bodies, Bonds, Scene, TimeStep
+from ..sizes import Uniform
+from ..state import BodyTable, State, placed_bodies
+from ..stepper import Stepper
+from . import Case, Row
+
+STEPS = 3000
+CHUNK = 30
+SHARES = (0.6, 0.8, 1.0, 1.1, 1.2, 1.3, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0)
+AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(0.05),))
+LAWS: dict[str, ContactLaw] = {
+    "linear": Contact(friction=10.0, normal_damping_ratio=0.0),
+    "linear, damped": Contact(friction=10.0, normal_damping_ratio=0.5, shear_damping_ratio=0.2),
+    "Hertz-Mindlin": HertzMindlin(effective_modulus=1e6, effective_shear_modulus=3e5, friction=10.0, restitution=1.0),
+    "lubrication layer": LubricationLayer(
+        contact=Contact(friction=0.1, normal_damping_ratio=0.1), yield_stress=50.0, viscosity=1500.0
+    ),
+    "Bingham mortar": BinghamMortar(effective_modulus=1e6, shell_modulus=2e4, yield_stress=50.0, plastic_viscosity=3.0),
+}
+
+
+def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
+    """About 120 bodies squeezed into a short pipe by a tenth of a radius."""
+    fill = Fill(
+        container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
+    )
+    table, _ = pack(fill, device=device, precision=precision, seed=4)
+    walls = fill.container.walls("wall")
+    scene = Scene(name="block", duration=1.0, gravity=(0, 0, 0), fill=fill, walls=walls, contact=law)
+    return scene, table
+
+
+def growth(scene: Scene, table, share: float, device, precision, bonds: Bonds | None = None) -> float:
+    """Largest energy in the last fifth of STEPS steps over that in the first; infinite once it bursts.
+
+    Near the limit the energy of a stable leapfrog swings, but it does not grow.
+    """
+    model = build_model(scene, find_device(device), precision)
+    stepper = Stepper(model, State(model, table), TimeStep(safety=4.0))
+    if bonds is not None:
+        stepper.bond(bonds, 1)
+    estimate = stepper.stable_step(model, stepper.state)
+    stepper.time_step = TimeStep(fixed=share * estimate, safety=4.0, interval=10**9)
+    stepper.choose_dt()
+    before = _energy(model, stepper.state)
+    energies = []
+    try:
+        for _ in range(STEPS // CHUNK):
+            stepper.take(CHUNK)
+            energies.append(_energy(model, stepper.state))
+            if not energies[-1] < 1e6 * before:
+                return math.inf
+    except InstabilityError:
+        return math.inf
+    fifth = len(energies) // 5
+    return max(energies[-fifth:]) / max(energies[:fifth])
+
+
+def _energy(model, state) -> float:
+    sums = contact_sums(model, state)
+    return body_sums(model, state).kinetic_energy + sums.elastic_energy + sums.bond_energy
+
+
+def shake(table: BodyTable, seed: int = 5) -> None:
+    """Give the bodies random velocities: the modes that break first need a seed."""
+    random = np.random.default_rng(seed)
+    table.velocity = random.normal(scale=0.05, size=table.velocity.shape)
+    table.spin = random.normal(scale=10.0, size=table.spin.shape)
+
+
+def bonded_pair() -> Scene:
+    """Two bonded spheres that roll on each other to and fro: shear and rotation swing together, the stiffest mode."""
+    bonds = Bonds(effective_modulus=1e5, stiffness_ratio=0.5, tensile_strength=1e12, cohesion=1e12, gap=1e-6)
+    return Scene(
+        name="pair", duration=1.0, gravity=(0, 0, 0), contact=LAWS["linear"], bonds=bonds,
+        bodies=(Bodies(positions=[[0.0, 0, 0], [0.01, 0, 0]], sizes=0.01, spins=[[0.0, 0, 1], [0.0, 0, 1]]),),
+    )  # fmt: skip
+
+
+def limits(device, precision) -> list[Row]:
+    """For every law and shape: the largest tried share of the estimate at which no energy appears."""
+    pair = bonded_pair()
+    block_bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=1e-3)
+    blocks = [(f"{name}, spheres", law, sphere(), None) for name, law in LAWS.items()] + [
+        ("linear, clumps", LAWS["linear"], reference()[1], None),
+        ("linear, damped, clumps", LAWS["linear, damped"], reference()[1], None),
+        ("linear, bonded spheres", LAWS["linear"], sphere(), block_bonds),
+    ]
+    LIMITS.curves.clear()
+    LIMITS.curves["linear, one bonded pair"] = np.array(
+        [growth(pair, placed_bodies(pair), share, device, precision, pair.bonds) for share in SHARES]
+    )
+    for label, law, shape, bonds in blocks:
+        scene, table = dense_block(law, shape, device, precision)
+        scene = replace(scene, bonds=bonds)
+        shake(table)
+        LIMITS.curves[label] = np.array([growth(scene, table, s, device, precision, bonds) for s in SHARES])
+    rows = []
+    for label, curve in LIMITS.curves.items():
+        stable = curve < 2.0
+        first = len(SHARES) if stable.all() else int(np.argmin(stable))
+        limit = SHARES[first - 1] if first else 0.0
+        # The estimate must be safe, 1 or more; how much it leaves is told, not asked for.
+        rows.append(Row(f"{label}: stable up to this share of the estimate (1 at least)", limit, max(limit, 1.0), 0.0))
+    return rows
+
+
+LIMITS = Case("stability limit", "the estimate of the stable step", limits, "stability", slow=True)
+CASES = [LIMITS]
