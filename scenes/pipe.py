@@ -17,13 +17,13 @@ import numpy as np
 from warpcrete import clumps
 from warpcrete.axis import Arc, Axis, Line
 from warpcrete.errors import between, one_of, positive, refuse
+from warpcrete.laws import Contact, ContactLaw, LubricationLayer
 from warpcrete.packing import Fill, PipeContainer
 from warpcrete.parameters import checked
 from warpcrete.scene import (
     AxisDrive,
     Bodies,
     Bonds,
-    Contact,
     Driven,
     Hydration,
     MeshWall,
@@ -33,6 +33,7 @@ from warpcrete.scene import (
     Scene,
     Settle,
     TimeStep,
+    Watch,
 )
 from warpcrete.sizes import Gaussian, SieveCurve, Sizes, Uniform
 
@@ -75,6 +76,8 @@ def scene(
     wall_friction: Annotated[
         float | None, "friction coefficient on the pipe and the piston; default: as friction"
     ] = None,
+    layer_yield: Annotated[float, "yield stress of a lubrication layer on the pipe and the piston [Pa]"] = 0.0,
+    layer_viscosity: Annotated[float, "viscosity of that layer over its thickness [Pa s/m]"] = 0.0,
     normal_damping: Annotated[float, "normal dashpot, share of critical"] = 0.5,
     shear_damping: Annotated[float, "shear dashpot, share of critical"] = 0.0,
     dashpot: Annotated[str, "dashpot mode: full, no-tension, slip-cut, both"] = "full",
@@ -101,7 +104,12 @@ def scene(
     facets: Annotated[int, "facets round the pipe of wall=mesh"] = 64,
     settle: Annotated[float, "longest time to settle under gravity and plug pressure before the start [s]"] = 2.0,
     time_step: Annotated[float | None, "fixed time step [s]; default: automatic"] = None,
-    safety: Annotated[float, "automatic time step over the stable one"] = 0.8,
+    safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8,
+    overlap_limit: Annotated[
+        float, "overlap at which the run stops, over that which swallows an aggregate; 0: no limit"
+    ] = 1.0,
+    energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False,
+    precision: Annotated[str, "of positions and forces: float32 or float64"] = "float32",
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]"] = 0.01,
     seed: Annotated[int, "random seed"] = 0,
 ) -> Scene:
@@ -123,6 +131,7 @@ def scene(
     between("plug_pressure", plug_pressure, 0, np.inf, "Pa")
     between("settle", settle, 0, np.inf, "s")
     between("friction", friction, 0, np.inf)
+    between("overlap_limit", overlap_limit, 0, np.inf)
     positive("plug_ball", plug_ball, "m")
     positive("wall_scale", wall_scale)
     one_of("plug", plug, ("balls", "plate", "none"))
@@ -151,10 +160,16 @@ def scene(
         shear_damping_ratio=shear_damping,
         dashpot=dashpot,
     )
-    contacts = {}
+    contacts: dict[tuple[str, str], ContactLaw] = {}
     if wall_friction is not None:
         between("wall_friction", wall_friction, 0, np.inf)
         contacts["aggregate", "wall"] = replace(contact, friction=wall_friction)
+    if layer_yield or layer_viscosity:
+        contacts["aggregate", "wall"] = LubricationLayer(
+            contact=contacts.get(("aggregate", "wall"), contact),
+            yield_stress=layer_yield,
+            viscosity=layer_viscosity,
+        )
 
     bodies, drives, group_bonds, walls = (), (), {}, []
     front = length
@@ -246,6 +261,9 @@ def scene(
         gravity=(0.0, 0.0, -gravity),
         settle=Settle(duration=settle) if settle > 0 else None,
         time_step=TimeStep(fixed=time_step, safety=safety),
+        watch=Watch(overlap=overlap_limit or None),
+        energy_balance=energy_balance,
+        precision=precision,
         sample_interval=sample_interval,
         seed=seed,
         parameters=given

@@ -169,6 +169,8 @@ def _scene_command(name: str, module) -> click.Command:
     hints = get_type_hints(function, include_extras=True)
     options: list[click.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():
+        if parameter.name in COMMON:
+            continue
         kind, _, text = kind_and_help(hints[parameter.name])
         flag = "--" + parameter.name.replace("_", "-")
         if kind is bool:

@@ -79,6 +79,8 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     if other is not None and ("plateau_pressure" not in other or "concrete_length" not in other):
         raise RunFolderError(f"pipeline_other = '{pipeline_other}': is not the folder of a finished pipe run")
 
+    if "precision" in inspect.signature(module.scene).parameters:
+        parameters = parameters | {"precision": precision}
     scene = module.scene(**parameters)
     piped = pipeline_vertical is not None or pipeline_horizontal is not None
     if piped:

@@ -85,7 +85,7 @@ class RerunRecorder(Recorder):
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
         """Close the part and open the next."""
         if self.path is not None:
-            self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
+            self._flush()
             self._parts += 1
             self._recording.set_sinks(*self._sinks())
         return {"recording_id": self._id, "parts": self._parts}
@@ -99,6 +99,14 @@ class RerunRecorder(Recorder):
             rr.spawn(connect=False, recording=self._recording)
         self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
         return self._recording
+
+    def _flush(self) -> None:
+        try:
+            self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
+        except (RuntimeError, ValueError) as error:
+            # A viewer that is not there must not hold up the run; the file has everything.
+            warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
+            self.live = False
 
     def _sinks(self) -> list[Any]:
         rr = self._rr
@@ -161,11 +169,7 @@ class RerunRecorder(Recorder):
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
         if self._recording is not None:
-            try:
-                self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
-            except (RuntimeError, ValueError) as error:
-                # A viewer that is not there must not hold up the run; the file has everything.
-                warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
+            self._flush()
             self._recording.disconnect()
 
     def tidy(self, simulation: Simulation, run: Run) -> None:

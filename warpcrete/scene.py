@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import between, positive, refuse, vector
+from .errors import between, one_of, positive, refuse, vector
 from .laws import Contact, ContactLaw
 
 if TYPE_CHECKING:
     from .axis import Axis
     from .clumps import ClumpTemplate
     from .packing import Fill
+
+
+PRECISIONS = ("float32", "float64")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,6 +339,8 @@ class Scene:
     sample_interval: float = 0.01
     """Simulated time between two rows of the series [s]."""
     seed: int = 0
+    precision: str = "float32"
+    """`float32` or `float64`, of positions, velocities and forces."""
     energy_balance: bool = False
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -350,6 +355,7 @@ class Scene:
         between("local_damping", self.local_damping, 0, 0.99)
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             refuse("seed", self.seed, "must be a whole number, 0 or more")
+        one_of("precision", self.precision, PRECISIONS)
         names = [wall.name for wall in self.walls]
         if len(set(names)) != len(names):
             refuse("walls", names, "must have different names")

@@ -91,7 +91,8 @@ class Simulation:
     """A scene on a device, with recorders.
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
-    `float32` or `float64`; `recorders`; `frame_interval` simulated seconds between recorded frames;
+    `float32` or `float64`, None for the scene's own; `recorders`; `frame_interval` simulated seconds between two
+    recorded frames;
     `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
     `checkpoint_every` seconds of wall time and at an interruption, and removed at the end. Raises
     :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
@@ -102,7 +103,7 @@ class Simulation:
         scene: Scene,
         *,
         device: str | None = None,
-        precision: str = "float32",
+        precision: str | None = None,
         recorders: Sequence[Recorder] = (),
         frame_interval: float = 0.04,
         progress: Progress | bool = False,
@@ -113,8 +114,8 @@ class Simulation:
         between("checkpoint_every", checkpoint_every, 0, math.inf, "s")
         self.scene = scene
         self.device = find_device(device)
-        self.precision = precision
-        self.model = build_model(scene, self.device, precision)
+        self.precision = precision or scene.precision
+        self.model = build_model(scene, self.device, self.precision)
         self.recorders = list(recorders)
         self.frame_interval = frame_interval
         self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
