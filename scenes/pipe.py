@@ -107,7 +107,7 @@ def scene(
     safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8,
     overlap_limit: Annotated[
         float, "overlap at which the run stops, over that which swallows an aggregate; 0: no limit"
-    ] = 1.0,
+    ] = 1.5,
     energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False,
     precision: Annotated[str, "of positions and forces: float32 or float64"] = "float32",
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]"] = 0.01,

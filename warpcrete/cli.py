@@ -115,7 +115,7 @@ def verify(device: str | None, precision: str, only: str, quick: bool, extremes:
         )
     if not results and not extremes:
         raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
-    text = f"{found.name}, {precision}\n\n" + verification.table(results)
+    text = f"{found.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
     if extremes:
         from .verification import extremes as edge
 

@@ -268,7 +268,7 @@ class TimeStep:
     def __post_init__(self) -> None:
         if self.fixed is not None:
             positive("time_step", self.fixed, "s", "leave it out for an automatic step")
-        between("safety", self.safety, 1e-3, 4.0)
+        between("safety", self.safety, 1e-3, 10.0)
         positive("largest time step", self.largest, "s")
         if isinstance(self.interval, bool) or not isinstance(self.interval, int) or self.interval < 1:
             refuse("interval", self.interval, "must be a whole number of steps, 1 or more")

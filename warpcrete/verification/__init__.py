@@ -96,5 +96,16 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def summary(results: list[tuple[Case, list[Row]]]) -> str:
+    """Markdown table with one line a case: the figure that comes nearest to its tolerance."""
+    lines = ["| case | figures | largest error | allowed there | expected from |", "|---|---|---|---|---|"]
+    for case, rows in results:
+        worst = max(rows, key=lambda row: row.error / row.tolerance if row.tolerance else float(not row.passed))
+        wrong = sum(not row.passed for row in rows)
+        shown = f"{wrong} of {len(rows)} **FAIL**" if wrong else str(len(rows))
+        lines.append(f"| {case.name} | {shown} | {_share(worst.error)} | {_share(worst.tolerance)} | {case.source} |")
+    return "\n".join(lines) + "\n"
+
+
 def _share(value: float) -> str:
     return f"{value:.1e}" if math.isfinite(value) else "-"

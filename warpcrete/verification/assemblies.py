@@ -43,7 +43,7 @@ def cloud(device, precision) -> list[Row]:
     state = stepper.state
     moved = float(np.sum(state.body_mass.numpy().astype(float) * np.linalg.norm(speeds, axis=1).mean()))
     turned = float(np.abs(before[2]).sum())
-    tolerance = 3e-6 if precision == "float32" else 1e-13
+    tolerance = 3e-7 if precision == "float32" else 1e-14
     slowed = float(np.linalg.norm(state.body_velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
     return [
         Row(

@@ -72,6 +72,14 @@ def _stability(axes, curves) -> None:
         axes.plot(SHARES, finite, ".-", label=label, linewidth=1)
     axes.axvspan(0, 0.8, color="tab:green", alpha=0.08, linewidth=0)
     axes.axhline(2.0, color="0.6", linewidth=0.8, linestyle="--")
-    axes.set(yscale="log", xlabel="time step over the estimate (default: 0.8)", ylabel="energy, last fifth over first",
-             xlim=(0.55, 3.05), title="where each contact law breaks")  # fmt: skip
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="time step over the estimate (default: 0.8)",
+        ylabel="energy, last fifth over first (1e6: burst)",
+        xlim=(0.57, 8.4),
+        title="where each contact law breaks",
+    )
+    axes.set_xticks([0.6, 0.8, 1, 1.4, 2, 3, 4, 6, 8], labels=["0.6", "0.8", "1", "1.4", "2", "3", "4", "6", "8"])
+    axes.minorticks_off()  # fmt: skip
     axes.legend(frameon=False, fontsize=7)

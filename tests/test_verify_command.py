@@ -1,0 +1,42 @@
+"""The `warpcrete verify` command, and the rows that it shows."""
+
+import math
+
+from test_pipe import command
+
+from warpcrete.verification import Case, Row, cases, summary, table
+
+
+def test_rows_pass_within_their_tolerance_only():
+    assert Row("x", 1.009, 1.0, 0.01).passed and not Row("x", 1.011, 1.0, 0.01).passed
+    assert Row("x", 0.009, 0.0, 0.01, scale=1.0).passed and not Row("x", 0.5, 0.0, 0.01, scale=10.0).passed
+    assert not Row("x", math.nan, 1.0, 10.0).passed
+
+
+def test_tables_name_every_figure_and_what_is_off():
+    case = Case("pull", "theory", lambda device, precision: [], "bonds")
+    rows = [Row("load", 1.0, 1.0, 0.1, "N"), Row("stretch", 2.0, 1.0, 0.1, "m")]
+    assert table([(case, rows)]).count("**FAIL**") == 1 and "1 N" in table([(case, rows)])
+    assert "1 of 2 **FAIL**" in summary([(case, rows)])
+
+
+def test_names_are_unique():
+    names = [case.name for case in cases()]
+    assert len(names) == len(set(names)) > 15
+
+
+def test_verify_writes_a_table_and_a_figure(tmp_path):
+    done = command("verify", "--device", "cpu", "--only", "oblique", "--out", tmp_path / "v")
+    assert done.returncode == 0, done.stderr
+    assert "tangential restitution" in done.stdout and "expected from" in done.stdout
+    assert (tmp_path / "v" / "verification.md").read_text().count("| oblique impact |") == 2
+    assert (tmp_path / "v" / "verification.png").stat().st_size > 20_000
+    again = command("verify", "--only", "oblique", "--out", tmp_path / "v")
+    assert again.returncode == 2 and "exists already" in again.stderr
+
+
+def test_verify_refuses_what_it_does_not_know():
+    done = command("verify", "--only", "nonsense")
+    assert done.returncode == 2 and "names no case (elastic normal impact" in done.stderr
+    done = command("verify", "--device", "cuda:99")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
