@@ -96,7 +96,7 @@ def contact_functions(scalar):
         if slips:
             new = trial * (limit / magnitude)
         lost = scalar(0.0)
-        if stiffness > lost:
+        if stiffness > scalar(0.0):
             lost = half * wp.dot(old + new, trial - new) / stiffness
         return new, slips, lost
 

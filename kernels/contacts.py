@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from .bond_parallel import UNBONDED, bond_functions
+from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .types import BROKEN_SHEAR, BROKEN_TENSION, DT_PREVIOUS, FAILED, STALE, types, vector_functions
 
@@ -32,6 +32,7 @@ def contact_kernel(scalar, law, half: bool, history: bool, bonds: bool, healing:
     t = types(scalar)
     Parameters = law(scalar).Parameters
     contact_force = law(scalar).force
+    contact_energy = law(scalar).energy
     sphere_touch = contact_functions(scalar).sphere_touch
     Bond = bond_functions(scalar).Bond
     bond_force = bond_functions(scalar).bond_force
@@ -139,16 +140,18 @@ def contact_kernel(scalar, law, half: bool, history: bool, bonds: bool, healing:
                         if outcome < 0:
                             pair_bond[k] = outcome
                             if wp.static(half) or entry >= 0:
-                                if outcome == -1:
+                                if outcome == BROKEN_IN_TENSION:
                                     wp.atomic_add(flags, BROKEN_TENSION, 1)
                                 else:
                                     wp.atomic_add(flags, BROKEN_SHEAR, 1)
                             if wp.static(losses):
+                                if not touching:
+                                    lost = scalar(0.0)
                                 lost += bond_energy(bond_parameters[bond], touch, held_force, held_moment)
                             held_force = t.vec4()
                             held_moment = t.vec4()
-                            # A bond that breaks may leave a pair that no longer touches: the linear
-                            # part's dashpot must not outlive it.
+                            # A bond that breaks may leave a pair that no longer touches: the contact's
+                            # dashpot must not outlive it.
                             if not touching:
                                 total = t.vec3()
                         pair_bond_force[k] = held_force
@@ -166,6 +169,15 @@ def contact_kernel(scalar, law, half: bool, history: bool, bonds: bool, healing:
                     moment[j] = moment[j] + arm_j * turn - sign * bond_moment
             else:
                 if wp.static(history):
+                    if wp.static(losses):
+                        # A spring still loaded when the surfaces part takes its energy with it.
+                        if wp.length_sq(pair_history[k]) > scalar(0.0) and (wp.static(half) or entry >= 0):
+                            touch = sphere_touch(
+                                t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), position_i[3], position_j[3],
+                                velocity_i[3], sphere_velocity[j][3],
+                            )  # fmt: skip
+                            p = contact_parameters[row + sphere_material[j]]
+                            lost_i += wp.float64(contact_energy(p, touch, pair_history[k]))
                     pair_history[k] = t.vec3()
                 if wp.static(healing):
                     if bond < 0:

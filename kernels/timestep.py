@@ -70,6 +70,7 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat),
         wall_velocity: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3),
         body_position: wp.array(dtype=t.vec3),
         sphere_body: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
@@ -83,8 +84,9 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         pair_bond: wp.array(dtype=wp.int32),
         sums: wp.array2d(dtype=t.mat33),
         wall_load: wp.array2d(dtype=wp.int64),
+        fastest: wp.array(dtype=wp.float64),
     ):
-        """`sums` has columns K and C of translation, K and C of rotation."""
+        """`sums` has columns K and C of translation, K and C of rotation; `fastest` the largest speed [m/s]."""
         i = wp.tid()
         zero = scalar(0.0)
         xi = xyz(sphere_position[i])
@@ -97,6 +99,7 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         c_sum = t.mat33()
         k_turn = t.mat33()
         c_turn = t.mat33()
+        wp.atomic_max(fastest, 0, wp.float64(wp.length(velocity_i)))
         for pair in range(pair_start[i], pair_start[i + 1]):
             j = decode(pair_other[pair])
             offset = xyz(sphere_position[j]) - xi
@@ -131,6 +134,9 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
                     sums[j, 1] = sums[j, 1] + damping
                     sums[j, 2] = sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
                     sums[j, 3] = sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
+        for w in range(wall_velocity.shape[0]):
+            surface = wall_velocity[w] + wp.cross(wall_spin[w], xi - wall_position[w])
+            wp.atomic_max(fastest, 0, wp.float64(wp.length(surface)))
         for slot in range(slot_wall.shape[1]):
             w = slot
             n = t.vec3()  # into the wall
@@ -149,7 +155,8 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
                     n = slot_normal[i, slot]
                     overlap = slot_overlap[i, slot]
             if overlap > zero:
-                touch = wall_touch(n, -overlap, wall_velocity[w] - velocity_i, zero, radius_i, mass_i)
+                surface = wall_velocity[w] + wp.cross(wall_spin[w], xi + radius_i * n - wall_position[w])
+                touch = wall_touch(n, -overlap, surface - velocity_i, zero, radius_i, mass_i)
                 k = wall_stiffness(wall_parameters[row + walls[w].material], touch)
                 k_sum += outer(n, k[0], k[1])
                 c_sum += outer(n, k[2], k[3])
@@ -182,8 +189,10 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         materials: wp.int32,
+        fastest: wp.array(dtype=wp.float64),
         body_mass: wp.array(dtype=scalar),
         body_inertia: wp.array(dtype=t.vec3),
+        body_position: wp.array(dtype=t.vec3),
         body_orientation: wp.array(dtype=t.quat),
         body_first: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
@@ -194,6 +203,9 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
     ):
         b = wp.tid()
         mass = body_mass[b]
+        inertia = body_inertia[b]
+        slight = wp.min(inertia)
+        stout = wp.max(inertia)
         k_sum = t.mat33()
         c_sum = t.mat33()
         k_turn = t.mat33()
@@ -207,23 +219,26 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
             c_turn += sums[s, 3]
             for column in range(4):
                 sums[s, column] = t.mat33()
-            # A body in flight must survive its next touch: never less than one contact, with another body
-            # that comes towards it as fast as it goes.
+            # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
             n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
-            closing = scalar(-2.0) * wp.length(xyz(sphere_velocity[s]))
-            touch = wall_touch(n, scalar(0.0), closing * n, scalar(0.0), sphere_position[s][3], mass)
+            radius = sphere_position[s][3]
+            closing = -wp.length(xyz(sphere_velocity[s])) - scalar(fastest[0])
+            touch = wall_touch(n, scalar(0.0), closing * n, scalar(0.0), radius, mass)
+            lever = radius + wp.length(xyz(sphere_position[s]) - body_position[b])
+            # Shear moves and turns the body: about its long axis with the sphere's radius as lever, across it
+            # with the whole arm.
+            turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             for m in range(materials):
                 row = sphere_material[s] * materials + m
                 k = pair_stiffness(pair_parameters[row], touch)
-                k_floor = wp.max(k_floor, k[0])
-                c_floor = wp.max(c_floor, k[2])
+                k_floor = wp.max(k_floor, wp.max(k[0], turn * k[1]))
+                c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
                 k = wall_stiffness(wall_parameters[row], touch)
-                k_floor = wp.max(k_floor, k[0])
-                c_floor = wp.max(c_floor, k[2])
+                k_floor = wp.max(k_floor, wp.max(k[0], turn * k[1]))
+                c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
         unit = t.vec3(mass, mass, mass)
         step = stable(wp.max(row_sum(k_sum, unit), k_floor / mass), wp.max(row_sum(c_sum, unit), c_floor / mass))
         axes = wp.quat_to_matrix(body_orientation[b])
-        inertia = body_inertia[b]
         k_spin = row_sum(wp.transpose(axes) * k_turn * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * c_turn * axes, inertia)))

@@ -36,6 +36,7 @@ def wall_kernel(scalar, law, meshes: bool, losses: bool):
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
     Parameters = law(scalar).Parameters
     contact_force = law(scalar).force
+    contact_energy = law(scalar).energy
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
@@ -169,6 +170,10 @@ def wall_kernel(scalar, law, meshes: bool, losses: bool):
                 total_moment += wp.cross(arm * n, f)
                 add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
             elif wp.length_sq(slot_history[i, w]) > scalar(0.0):
+                if wp.static(losses):
+                    touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                    p = contact_parameters[row + walls[w].material]
+                    total_lost += wp.float64(contact_energy(p, touch, slot_history[i, w]))
                 slot_history[i, w] = t.vec3()
         if wp.static(meshes):
             first = candidate_start[i]

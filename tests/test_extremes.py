@@ -1,7 +1,6 @@
 """Scenes at the edge: each stays within bounds or stops with an error that names time, body, quantity and cures."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
@@ -14,16 +13,6 @@ from warpcrete.verification import extremes
 
 CASES = list(extremes.scenes())
 SINGLES = [case for case in CASES if not case[0].startswith("corner")]
-# What must stop, with the quantity in the message, and in which precision.
-MUST_STOP = {
-    "time step 3 of the estimate": "speed|energy",
-    "modulus 10000": "overlap",
-    "two coincident centres": "overlap",
-    "all bodies in one spot": "overlap",
-    "100 kPa on 1e5 Pa": "overlap",
-    "1 km from the origin": "float32:rounded",
-}
-MAY_STOP = {"friction 10"}
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -32,13 +21,6 @@ def test_extreme(device, precision, case):
     name, make, steps = case
     found = extremes.outcome(name, make(), device, precision, steps)
     assert found.acceptable, found
-    wanted = MUST_STOP.get(name, "")
-    if wanted.startswith("float32:"):
-        wanted = wanted[8:] if precision == "float32" else ""
-    if wanted:
-        assert re.search(wanted, found.stopped.split("usual cures")[0]), found
-    elif name not in MAY_STOP:
-        assert not found.stopped, found
 
 
 def test_corners_stay_within_bounds_or_stop(device):
@@ -56,7 +38,7 @@ def test_corners_stay_within_bounds_or_stop(device):
 def test_a_million_spheres(device):
     ((name, make, steps),) = [c for c in extremes.scenes(large=True) if c[0] == "a million spheres"]
     found = extremes.outcome(name, make(), device, "float32", steps)
-    assert found.acceptable and not found.stopped, found
+    assert found.acceptable and found.must == "run", found
 
 
 def one_sphere(**changes) -> Scene:

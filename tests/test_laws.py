@@ -119,7 +119,8 @@ def test_restitution_is_what_was_asked_for_at_any_speed(start, law, restitution)
         stepper = start(two_spheres(velocity=(-speed, 0, 0), contact=contact, dt=1e-6))
         stepper.advance(0.02)
         rebound = np.diff(by_id(stepper.state, "body_velocity")[:, 0])[0] / speed
-        assert rebound == pytest.approx(restitution, abs=4e-3)  # e = 0 needs for ever: 3e-3 is left at 0.02 s
+        # e = 0 needs for ever: 3e-3 is left at 0.02 s.
+        assert rebound == pytest.approx(restitution, abs=4e-3 if restitution == 0 else 8e-4)
 
 
 def test_mindlin_stiffness_and_slip(start):
@@ -174,7 +175,7 @@ def test_lubrication_layer_at_rest_holds_up_to_its_yield_stress(start):
         )  # fmt: skip
         stepper = start(scene)
         # The sphere would roll: hold its spin, so that only sliding is left.
-        for _ in range(2000):
+        while stepper.time < 2.0:
             stepper.take(1)
             stepper.state.body_spin.zero_()
             stepper.state.sphere_spin.zero_()
@@ -226,5 +227,5 @@ def test_what_an_oblique_impact_loses_is_booked(start, law):
         booked = stepper.state.sphere_lost.numpy().sum()
         assert lost > 0.1 * before
         errors.append(abs(booked - lost) / lost)
-    assert errors[1] < 6e-3
+    assert errors[1] < 1e-3
     assert errors[1] < 0.4 * errors[0] or errors[1] < 1e-4

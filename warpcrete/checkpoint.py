@@ -14,7 +14,7 @@ import warp as wp
 
 from .errors import RunFolderError
 from .model import Model
-from .provenance import fingerprint
+from .provenance import fingerprint, versions
 from .state import BodyTable, State, placed_bodies
 
 FORMAT = 1
@@ -36,12 +36,13 @@ def save(path: Path, model: Model, state: State, precision: str, memory: dict[st
         "scene": fingerprint(model.scene),
         "device": "cuda" if model.device.is_cuda else "cpu",
         "precision": precision,
+        "versions": versions(),
         "state": {name: getattr(state, name) for name in NUMBERS},
         "memory": _flatten(memory, "memory", arrays),
     }
     arrays["text"] = np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
     arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
-    partial = path.with_name(path.name + ".partial")
+    partial = _partial(path)
     with partial.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
         file.flush()
@@ -70,6 +71,11 @@ def load(path: Path, model: Model, precision: str) -> tuple[State, dict[str, Any
     if text.get("warpcrete checkpoint") != FORMAT:
         found = text.get("warpcrete checkpoint")
         raise RunFolderError(f"'{path}': has checkpoint format {found!r}, this version reads {FORMAT}")
+    if text["versions"] != versions():
+        raise RunFolderError(
+            f"'{path}': was written by {_shown(text['versions'])}, here is {_shown(versions())}; resume with those "
+            "versions, or start the run anew"
+        )
     device = "cuda" if model.device.is_cuda else "cpu"
     for what, found, here in (
         ("precision", text["precision"], precision),
@@ -103,6 +109,20 @@ def _restored(model: Model, arrays: dict[str, np.ndarray], numbers: dict[str, An
             setattr(state, name, wp.array(data, dtype=array.dtype, ndim=array.ndim, device=model.device))
     state.pair_capacity = max(state.pair_total, 1)
     return state
+
+
+def remove(path: Path) -> None:
+    """Remove a checkpoint, and what an interrupted write of one left."""
+    path.unlink(missing_ok=True)
+    _partial(path).unlink(missing_ok=True)
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(path.name + ".partial")
+
+
+def _shown(found: dict[str, str]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in found.items())
 
 
 def _is_pair(name: str) -> bool:

@@ -59,21 +59,22 @@ class RunGroup(click.Group):
 
 @cli.group("run", cls=RunGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
 @click.option("--resume", type=click.Path(path_type=Path), help="go on with the interrupted run of this folder")
-@click.option("--quiet", is_flag=True, help="no progress bar")
+@click.option("--live", is_flag=False, flag_value="spawn", help="with --resume: watch, as for a scene")
+@click.option("--quiet", is_flag=True, help="with --resume: no progress bar")
 @click.pass_context
-def run_group(context: click.Context, resume: Path | None, quiet: bool) -> None:
+def run_group(context: click.Context, resume: Path | None, live: str | None, quiet: bool) -> None:
     """Run a scene: `warpcrete run SCENE [options]`, repeat one: `warpcrete run RUN/scene.json`, or go on with an
     interrupted one: `warpcrete run --resume RUN`."""
     if context.invoked_subcommand is not None:
-        if resume is not None:
-            raise click.UsageError("resume = RUN: goes without a scene; the folder holds one")
+        if resume is not None or live is not None or quiet:
+            raise click.UsageError("--resume, --live, --quiet: before a scene they mean nothing; put them behind it")
     elif resume is None:
         click.echo(context.get_help())
         raise SystemExit(2)
     else:
         from . import job
 
-        job.resume(resume, scene_modules(), quiet=quiet)
+        job.resume(resume, scene_modules(), live=live, quiet=quiet)
 
 
 @cli.command("view")
@@ -104,17 +105,20 @@ def verify(device: str | None, precision: str, only: str, quick: bool, extremes:
     if out is not None:
         check_new(out)
     found = find_device(device)
+    chosen = [case for case in verification.cases() if only.lower() in f"{case.group}: {case.name}".lower()]
+    if not chosen:
+        raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
+    if quick and all(case.slow for case in chosen):
+        raise click.UsageError(f"only = {only!r}: names slow cases only; leave out --quick")
     results = []
     failed = 0
-    for case, rows in verification.run_cases(str(found), precision, slow=not quick, only=only):
+    for case, rows in verification.run_cases(chosen, str(found), precision, slow=not quick):
         results.append((case, rows))
         wrong = sum(not row.passed for row in rows)
         failed += wrong
         click.echo(
             f"{case.group + ': ' + case.name:48s} {f'{wrong} of {len(rows)} FAIL' if wrong else f'{len(rows)} ok'}"
         )
-    if not results and not extremes:
-        raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
     text = f"{found.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
     if extremes:
         from .verification import extremes as edge
@@ -193,10 +197,11 @@ def _scene_command(name: str, module) -> click.Command:
             return
         context = click.get_current_context()
         default = click.core.ParameterSource.DEFAULT
-        given = [k for k in (*values, *common) if k != "quiet" and context.get_parameter_source(k) != default]
+        free = ("quiet", "live")
+        given = [k for k in (*values, *common) if k not in free and context.get_parameter_source(k) != default]
         if given:
             raise click.UsageError(f"resume = '{resume}': goes on as the run began; leave out {', '.join(given)}")
-        job.resume(resume, scene_modules(), quiet=common["quiet"])
+        job.resume(resume, scene_modules(), live=common["live"], quiet=common["quiet"])
 
     return click.Command(name, params=options + _common_options(), callback=callback, help=inspect.getdoc(function))
 

@@ -12,11 +12,11 @@ from .kernels.bodies import body_kernel, tick_kernel
 from .kernels.bonds import bond_kernels
 from .kernels.contacts import contact_kernel
 from .kernels.timestep import timestep_kernels
-from .kernels.types import types
+from .kernels.types import TIME, types
 from .kernels.wall_motion import advance_kernel
 from .kernels.walls import wall_kernel
 from .model import Model
-from .scene import Bonds, Driven, MeshWall
+from .scene import Bonds, Driven, MeshWall, PlaneWall, Scene
 from .state import State
 
 
@@ -121,13 +121,16 @@ def step_stages(
 class StableStep:
     """Estimate of the largest stable step from masses and live stiffness, bonds included."""
 
-    def __init__(self, model: Model, state: State) -> None:
+    def __init__(self, model: Model, state: State, horizon: float) -> None:
+        """`horizon` [s] is the longest time until the next estimate."""
         f = model.features
+        self._foreseen = foreseen_speed(model.scene, horizon)
         self._gather, self._reduce = timestep_kernels(model.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds)
         self._sums = wp.zeros((state.sphere_count, 4), dtype=types(model.scalar).mat33, device=model.device)
         self._wall_load = wp.zeros((len(model.walls), 2), dtype=wp.int64, device=model.device)
         self._driven = [(w, wall.motion) for w, wall in enumerate(model.walls) if isinstance(wall.motion, Driven)]
         self._smallest = wp.zeros(1, dtype=wp.float64, device=model.device)
+        self._fastest = wp.zeros(1, dtype=wp.float64, device=model.device)
 
     def __call__(self, model: Model, state: State) -> float:
         """Step [s], without safety factor; infinite for a state without bodies."""
@@ -135,6 +138,7 @@ class StableStep:
             return float("inf")
         self._smallest.fill_(1e30)
         self._wall_load.zero_()
+        self._fastest.fill_(self._foreseen)
         device = model.device
         wp.launch(
             self._gather,
@@ -142,9 +146,10 @@ class StableStep:
             inputs=[
                 model.pair_parameters, model.wall_parameters, model.bond_parameters, model.material_count,
                 model.wall_table, model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
-                state.wall_velocity, state.body_position, state.sphere_body, state.sphere_position,
+                state.wall_velocity, state.wall_spin, state.body_position, state.sphere_body, state.sphere_position,
                 state.sphere_velocity, state.sphere_material, state.slot_wall, state.slot_normal, state.slot_overlap,
                 state.pair_start, state.pair_other, state.pair_bond, self._sums, self._wall_load,
+                self._fastest,
             ],
             device=device,
         )  # fmt: skip
@@ -152,8 +157,9 @@ class StableStep:
             self._reduce,
             dim=state.body_count,
             inputs=[
-                model.pair_parameters, model.wall_parameters, model.material_count, state.body_mass,
-                state.body_inertia, state.body_orientation, state.body_first, state.sphere_position,
+                model.pair_parameters, model.wall_parameters, model.material_count, self._fastest,
+                state.body_mass, state.body_inertia, state.body_position, state.body_orientation,
+                state.body_first, state.sphere_position,
                 state.sphere_velocity, state.sphere_material, self._sums, self._smallest,
             ],
             device=device,
@@ -167,9 +173,31 @@ class StableStep:
                 # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
                 ratio = 0.5 * float(load[wall, 1]) / np.sqrt(motion.mass * stiffness)
                 step = min(step, float(np.sqrt(motion.mass / stiffness) * (np.hypot(1, ratio) - ratio)))
-        if not np.isfinite(step) or step <= 0:
-            raise InstabilityError(f"the stable time step came out as {step}; masses or stiffnesses are out of range")
+        if not step > 0:
+            time = float(state.clock.numpy()[int(TIME)])
+            raise InstabilityError(
+                f"t = {time:.6g} s: the stable time step came out as {step:.3g} s; usual cures: masses, stiffnesses "
+                "and dashpots that single precision can hold, or precision float64"
+            )
         return step
+
+
+def foreseen_speed(scene: Scene, horizon: float) -> float:
+    """Speed that a wall will have, or that forces can give within `horizon` [m/s]."""
+    gained = [float(np.linalg.norm(scene.gravity))]
+    speeds = [0.0]
+    for wall in scene.walls:
+        motion = wall.motion
+        if isinstance(motion, Driven):
+            gained.append(abs(motion.force) / motion.mass)
+        elif motion is not None:
+            if isinstance(wall, MeshWall):
+                places = wall.vertices
+            else:
+                places = np.array([wall.point if isinstance(wall, PlaneWall) else motion.pivot])
+            lever = float(np.linalg.norm(places - np.array(motion.pivot), axis=1).max())
+            speeds.append(float(np.linalg.norm(motion.velocity)) + lever * float(np.linalg.norm(motion.spin)))
+    return max(speeds) + max(gained) * horizon
 
 
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:

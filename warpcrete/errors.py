@@ -46,7 +46,7 @@ def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
     """Refuse anything but a finite number in [lower, upper]."""
     if not _is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
-        span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"at least {lower:g}"
+        span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
             span = "a finite number"
         refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)

@@ -30,8 +30,8 @@ def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], An
     return record, module
 
 
-def resume(folder: Path, modules: dict[str, Any], *, quiet: bool) -> None:
-    """Go on with an interrupted run, in its folder."""
+def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:
+    """Go on with an interrupted run, in its folder; `live` shows it from here on."""
     from .run_folder import read_json
 
     if not (folder / "scene.json").is_file():
@@ -52,7 +52,7 @@ def resume(folder: Path, modules: dict[str, Any], *, quiet: bool) -> None:
         settings["pipeline_other"] = Path(settings["pipeline_other"])
     run(
         record["scene"], module, record["parameters"], out=folder, device=record.get("device"),
-        precision=record.get("precision", "float32"), live=None, quiet=quiet, going_on=True, **settings,
+        precision=record.get("precision", "float32"), live=live, quiet=quiet, going_on=True, **settings,
     )  # fmt: skip
 
 
@@ -88,8 +88,9 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
         one_of("unit", scene.notes.get("unit"), straight)
         if other is not None:
             one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
-    settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal,
-                               str(pipeline_other) if pipeline_other else None, checkpoint_every)))  # fmt: skip
+    source = str(pipeline_other.resolve()) if pipeline_other else None
+    settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
+                               checkpoint_every)))  # fmt: skip
     recorders: list[Recorder] = []
     recorders.append(TableRecorder(folder, settings))
     if rerun or live:
@@ -130,7 +131,12 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     previous = signal.getsignal(signal.SIGINT)
     try:
         if going_on:
-            simulation.resume(folder / "checkpoint.npz")
+            try:
+                simulation.resume(folder / "checkpoint.npz")
+            except KeyboardInterrupt:
+                raise RunFolderError(
+                    f"resume = '{folder}': interrupted before the run went on; nothing changed"
+                ) from None
         else:
             simulation.prepare()
         signal.signal(signal.SIGINT, stop)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .errors import between, one_of, positive
+from .errors import between, one_of, positive, refuse
 
 DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 
@@ -158,6 +158,8 @@ class LubricationLayer(ContactLaw):
     """eta_L [Pa s/m], viscosity of the layer over its thickness."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.contact, Contact):
+            refuse("layer contact", type(self.contact).__name__, "must be a Contact, the linear law")
         between("layer yield_stress", self.yield_stress, 0, np.inf, "Pa")
         between("layer viscosity", self.viscosity, 0, np.inf, "Pa s/m")
 

@@ -18,9 +18,9 @@ from .kernels.geometry import axis_functions
 from .kernels.types import types
 from .kernels.wall_motion import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
 from .laws import ContactLaw
-from .scene import Bonds, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
+from .scene import PRECISIONS, Bonds, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
 
-PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
+SCALARS = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def quiet_init() -> None:
 def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -> Model:
     """Arrange a scene for a device. `growth` prepares for packing, where sizes grow during the run."""
     one_of("precision", precision, PRECISIONS)
-    scalar = PRECISIONS[precision]
+    scalar = SCALARS[precision]
     analytic = [wall for wall in scene.walls if not isinstance(wall, MeshWall)]
     meshes = [wall for wall in scene.walls if isinstance(wall, MeshWall)]
     walls = analytic + meshes

@@ -174,11 +174,11 @@ def touching_bodies(state: State) -> np.ndarray:
 
 def fastest_body(model: Model, state: State) -> int:
     """Permanent number of the body with the largest speed, or of one whose motion is not a number."""
-    speed = np.linalg.norm(state.body_velocity.numpy(), axis=1) + np.linalg.norm(state.body_spin.numpy(), axis=1)
+    speed = np.linalg.norm(state.body_velocity.numpy(), axis=1)
     if not len(speed):
         return -1
-    wrong = np.flatnonzero(~np.isfinite(speed))
-    place = int(wrong[0]) if len(wrong) else int(np.argmax(np.linalg.norm(state.body_velocity.numpy(), axis=1)))
+    wrong = np.flatnonzero(~np.isfinite(speed + state.body_spin.numpy().sum(axis=1)))
+    place = int(wrong[0]) if len(wrong) else int(np.argmax(speed))
     return int(state.body_id.numpy()[place])
 
 

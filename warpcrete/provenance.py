@@ -20,8 +20,7 @@ from .state import State
 def provenance(device, precision: str, seed: int) -> dict[str, Any]:
     """Versions, device and settings that a run depends on."""
     return {
-        "warpcrete": _version("warpcrete"),
-        "warp": _version("warp-lang"),
+        **versions(),
         "numpy": np.__version__,
         "python": platform.python_version(),
         "machine": platform.machine(),
@@ -30,6 +29,11 @@ def provenance(device, precision: str, seed: int) -> dict[str, Any]:
         "precision": precision,
         "seed": seed,
     }
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that compute."""
+    return {"warpcrete": _version("warpcrete"), "warp": _version("warp-lang")}
 
 
 def _version(package: str) -> str:
@@ -48,7 +52,8 @@ def fingerprint(value: Any) -> str:
 
 def _feed(digest, value: Any) -> None:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        digest.update(type(value).__name__.encode())
+        law = getattr(value, "law", "")  # of a contact law: a file's name, or a function
+        digest.update(f"{type(value).__qualname__}{getattr(law, '__qualname__', law)}".encode())
         for field in dataclasses.fields(value):
             if field.name not in ("notes", "parameters"):
                 digest.update(field.name.encode())
@@ -56,14 +61,16 @@ def _feed(digest, value: Any) -> None:
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, Mapping):
-        for key in sorted(value, key=repr):
+        for key, item in value.items():  # in their order, which numbers the kinds of bonds
             _feed(digest, key)
-            _feed(digest, value[key])
+            _feed(digest, item)
     elif isinstance(value, list | tuple):
         digest.update(f"[{len(value)}".encode())
         for item in value:
             _feed(digest, item)
-    elif isinstance(value, str | int | float | bool | np.generic | None):
+    elif isinstance(value, int | float | np.integer | np.floating):
+        digest.update(float(value).hex().encode())
+    elif isinstance(value, str | None):
         digest.update(repr(value).encode())
     else:
         digest.update(type(value).__qualname__.encode())
@@ -71,13 +78,13 @@ def _feed(digest, value: Any) -> None:
 
 
 def state_hash(state: State) -> str:
-    """SHA-256 of positions, velocities, contact histories, bonds, walls and clock, in the order of permanent numbers.
+    """SHA-256 of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
 
-    Two runs with the same hash hold the same bits, however their bodies lie in memory.
+    Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory.
     """
     digest = hashlib.sha256()
     order = np.argsort(state.body_id.numpy())
-    for name in ("position", "velocity", "spin", "orientation", "angular_momentum", "size", "mass"):
+    for name in ("position", "rounding", "velocity", "spin", "orientation", "angular_momentum", "size", "mass"):
         digest.update(np.ascontiguousarray(getattr(state, f"body_{name}").numpy()[order]).tobytes())
     i, j, place = listed_pairs(state)
     ids = state.sphere_id.numpy()
@@ -96,8 +103,12 @@ def state_hash(state: State) -> str:
         for array in (state.pair_bond, state.pair_bond_force, state.pair_bond_moment):
             digest.update(array.numpy()[chosen].tobytes())
     by_sphere = np.argsort(ids)
-    digest.update(np.ascontiguousarray(state.slot_history.numpy()[by_sphere]).tobytes())
-    for array in (state.wall_position_exact, state.wall_velocity_exact, state.wall_impulse):
+    for array in (state.slot_history, state.slot_normal, state.slot_overlap, state.slot_wall):
+        digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
+    for array in (
+        state.wall_position_exact, state.wall_velocity_exact, state.wall_orientation, state.wall_spin,
+        state.wall_impulse, state.wall_travel, state.wall_work,
+    ):  # fmt: skip
         digest.update(array.numpy().tobytes())
     digest.update(state.clock.numpy()[:3].tobytes())  # time and step sizes
     return digest.hexdigest()

@@ -47,8 +47,12 @@ class RerunRecorder(Recorder):
 
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
-        rr = self._rr
-        recording = self._open(simulation, str(uuid.uuid4()), 0, self._blueprint(simulation))
+        self._open(simulation, str(uuid.uuid4()), 0, self._blueprint(simulation))
+        self._describe(simulation)
+
+    def _describe(self, simulation: Simulation) -> None:
+        """Everything that does not change."""
+        rr, recording = self._rr, self._recording
         recording.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         state = simulation.state
         radius = state.sphere_position.numpy()[np.argsort(state.sphere_id.numpy()), 3]
@@ -80,7 +84,11 @@ class RerunRecorder(Recorder):
                     raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
             for path in self._later_parts(memory["parts"]):
                 path.unlink()
-        self._open(simulation, memory["recording_id"], memory["parts"], None)
+        self._open(
+            simulation, memory["recording_id"], memory["parts"], self._blueprint(simulation) if self.live else None
+        )
+        if self.live:
+            self._describe(simulation)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
         """Close the part and open the next."""
@@ -90,7 +98,7 @@ class RerunRecorder(Recorder):
             self._recording.set_sinks(*self._sinks())
         return {"recording_id": self._id, "parts": self._parts}
 
-    def _open(self, simulation: Simulation, recording_id: str, part: int, blueprint) -> Any:
+    def _open(self, simulation: Simulation, recording_id: str, part: int, blueprint) -> None:
         rr = self._rr
         self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
         self._id, self._parts = recording_id, part
@@ -98,14 +106,14 @@ class RerunRecorder(Recorder):
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
-        return self._recording
 
     def _flush(self) -> None:
         try:
             self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
         except (RuntimeError, ValueError) as error:
             # A viewer that is not there must not hold up the run; the file has everything.
-            warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
+            taker = "viewer" if self.live else f"file {self.path}"
+            warnings.warn(f"the Rerun {taker} did not take the whole recording: {error}", stacklevel=2)
             self.live = False
 
     def _sinks(self) -> list[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -91,26 +90,28 @@ class TableRecorder(Recorder):
         self._file = self._series.open("w", newline="")
 
     def resume(self, simulation: Simulation, memory: dict[str, Any]) -> None:
-        """Cut series.csv back to the checkpoint."""
-        there = self._series.stat().st_size if self._series.is_file() else 0
-        if there < memory["bytes"]:
-            raise RunFolderError(f"'{self._series}': is shorter than at the checkpoint; the run cannot be resumed")
-        os.truncate(self._series, memory["bytes"])
+        """Write series.csv as it was at the checkpoint, which holds every row."""
+        partial = self._series.with_name(self._series.name + ".partial")
+        self._file = partial.open("w", newline="")
+        for row in simulation.rows:
+            self._write(row)
+        self._file.close()
+        partial.replace(self._series)
         self._file = self._series.open("a", newline="")
-        self._writer = csv.writer(self._file)
+        if self._writer is not None:
+            self._writer = csv.writer(self._file)
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Append a row; the header names each column's unit."""
         assert self._file is not None
+        self._write(row)
+        self._file.flush()
+
+    def _write(self, row: dict[str, float]) -> None:
         if self._writer is None:
             self._writer = csv.writer(self._file)
             self._writer.writerow([f"{name} [{unit_of(name)}]" for name in row])
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
-        self._file.flush()
-
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Length of series.csv."""
-        return {"bytes": self._series.stat().st_size}
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Close series.csv and write result.json."""

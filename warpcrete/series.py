@@ -197,13 +197,16 @@ def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def energy_balance(series: dict[str, np.ndarray]) -> float:
-    """Stored and dissipated energy less work, at the end against the start, over the work or the dissipation.
+    """Stored and dissipated energy less work, at the end against the start.
 
-    NaN where losses were not added up (`Scene.energy_balance`).
+    Over the work, the dissipation or the largest energy of motion and springs, whichever is most. NaN where losses
+    were not added up (`Scene.energy_balance`), or nothing ever moved.
     """
     if "dissipated_energy" not in series or len(series["time"]) < 2:
         return float("nan")
     lost = series["dissipated_energy"][-1] - series["dissipated_energy"][0]
     residual = np.diff(free_energy(series)[[0, -1]])[0] + lost
     work = abs(series["wall_work"][-1] + series["drive_work"][-1])
-    return float(residual / max(work, abs(lost), 1e-300))
+    moving = float(np.max(series["kinetic_energy"] + series["elastic_energy"] + series["bond_energy"]))
+    size = max(work, abs(lost), moving)
+    return float(residual / size) if size > 0 else float("nan")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time as wall_clock
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from . import checkpoint
-from .errors import RunFolderError, WarpcreteError, between, positive
+from .errors import WarpcreteError, between, positive
 from .kernels.wall_motion import FIXED, PRESCRIBED
 from .model import build_model, find_device
 from .packing import PackingReport, pack
@@ -94,7 +95,8 @@ class Simulation:
     `float32` or `float64`, None for the scene's own; `recorders`; `frame_interval` simulated seconds between two
     recorded frames;
     `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
-    `checkpoint_every` seconds of wall time and at an interruption, and removed at the end. Raises
+    `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
+    Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
     :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
     """
 
@@ -183,8 +185,6 @@ class Simulation:
         is no whole checkpoint of this simulation.
         """
         self.state, memory = checkpoint.load(path, self.model, self.precision)
-        if sorted(memory["recorders"]) != [str(number) for number in range(len(self.recorders))]:
-            raise RunFolderError(f"'{path}': was written with {len(memory['recorders'])} recorders, not these")
         self.stepper = Stepper(
             self.model,
             self.state,
@@ -215,7 +215,7 @@ class Simulation:
             self.state,
             self.precision,
             {
-                "recorders": {str(n): recorder.checkpoint(self) for n, recorder in enumerate(self.recorders)},
+                "recorders": {_kind(r): r.checkpoint(self) for r in self.recorders} if self._ran else {},
                 "stepper": self.stepper.memory(),
                 "sampler": self.sampler.memory(),
                 "watch": {"least": self.watch.least, "scale": self.watch.scale},
@@ -247,12 +247,13 @@ class Simulation:
         finished = False
         try:
             try:
-                for number, recorder in enumerate(self.recorders):
+                for recorder in self.recorders:
                     begun.append(recorder)
-                    if self._resumed is None:
+                    memory = (self._resumed or {}).get(_kind(recorder))
+                    if memory is None:
                         recorder.start(self)
                     else:
-                        recorder.resume(self, self._resumed[str(number)])
+                        recorder.resume(self, memory)
                 finished = self._loop()
             except KeyboardInterrupt:
                 pass
@@ -268,7 +269,7 @@ class Simulation:
                     failures.append(error)
             if finished and not failures:
                 if self.checkpoint_path is not None:
-                    self.checkpoint_path.unlink(missing_ok=True)
+                    checkpoint.remove(self.checkpoint_path)
                 for recorder in begun:
                     recorder.tidy(self, run)
             if isinstance(self._progress, ProgressBar):
@@ -279,7 +280,7 @@ class Simulation:
 
     def _loop(self) -> bool:
         scene, stepper = self.scene, self.stepper
-        if self._resumed is None:
+        if not self.rows:
             self._sample()
             for recorder in self.recorders:
                 recorder.frame(self)
@@ -311,7 +312,10 @@ class Simulation:
 
     def _checkpoint(self) -> None:
         if self.checkpoint_path is not None:
-            self.save(self.checkpoint_path)
+            try:
+                self.save(self.checkpoint_path)
+            except OSError as error:  # a full disk must not end the run; the checkpoint before is still there
+                warnings.warn(f"'{self.checkpoint_path}': no checkpoint was written: {error}", stacklevel=2)
         self._saved = wall_clock.perf_counter()
 
     def _running(self) -> float:
@@ -387,3 +391,7 @@ class Simulation:
         result["state_hash"] = state_hash(self.state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         return Run(self.scene, series, units, result, self.packing, finished, bodies=self.state.table())
+
+
+def _kind(recorder: Recorder) -> str:
+    return type(recorder).__name__

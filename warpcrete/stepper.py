@@ -48,7 +48,7 @@ class Stepper:
         if memory is not None:
             self.skin = memory["skin"]
         self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin, sort_every=sort_every)
-        self.stable_step = StableStep(model, state)
+        self.stable_step = StableStep(model, state, time_step.interval * time_step.largest)
         self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
         self._graphs: dict[int, wp.Graph] = {}
         self._since_estimate = math.inf
@@ -113,6 +113,7 @@ class Stepper:
         state.flags.zero_()
         for array in (
             state.wall_impulse, state.wall_angular_impulse, state.wall_travel, state.wall_work, state.wall_step_force,
+            state.sphere_lost,
         ):  # fmt: skip
             array.zero_()
         self._since_estimate = math.inf

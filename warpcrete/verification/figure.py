@@ -29,7 +29,7 @@ def draw(results: list[tuple[Case, list[Row]]]):
 
 
 def _errors(axes, results) -> None:
-    rows = [(case, row) for case, rows in results for row in rows if row.scale is not None or row.expected != 0]
+    rows = [(case, row) for case, rows in results for row in rows if row.tolerance > 0]
     groups = list(dict.fromkeys(case.name for case, _ in rows))
     for case, row in rows:
         axes.plot(

@@ -80,7 +80,7 @@ def elastic(device, precision) -> list[Row]:
         rows += [
             Row(f"test {name}: peak force", found[0], force, 2e-3, "N"),
             Row(f"test {name}: peak overlap", found[1], overlap, 2e-3, "m"),
-            Row(f"test {name}: duration", found[2], time, 8e-3, "s"),
+            Row(f"test {name}: duration", found[2], time, 3e-3, "s"),
         ]
     return rows
 
@@ -133,17 +133,11 @@ def restitution(device, precision) -> list[Row]:
             else:
                 velocity, _ = spheres_on_a_plane(law, 2.5e-3, 4000.0, [[0, 0, -3.9]], [[0, 0, 0]], device, precision)
                 ours.append(velocity[0, 2] / 3.9)
-        worst = int(np.argmax(np.abs(np.array(ours) - wanted)))
-        # e = 0 is reached only after infinite time; what is left after three durations is the largest error.
-        rows.append(
-            Row(
-                f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 6",
-                ours[worst],
-                wanted[worst],
-                1.2e-2,
-                scale=1.0,
-            )
-        )
+        error = np.abs(np.array(ours) - wanted)
+        worst = 1 + int(np.argmax(error[1:]))
+        rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
+        # e = 0 takes for ever: what is left after three durations of an elastic impact.
+        rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 
 
@@ -192,7 +186,7 @@ def oblique(device, precision) -> list[Row]:
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))
-    rows.append(Row("test 4: tangential restitution in full slip, exact", tangential[slip][worst], exact[worst], 1e-3))
+    rows.append(Row("test 4: tangential restitution in full slip, exact", tangential[slip][worst], exact[worst], 1e-4))
     return rows
 
 
@@ -219,7 +213,7 @@ def normalised(device, precision) -> list[Row]:
         worst = int(np.argmax(np.abs(found[0] - published[:, 1])))
         label = f"test 5: rebound {name}, the worst of {len(published)} (at {published[worst, 0]:.2f})"
         span = float(np.ptp(published[:, 1]))
-        rows.append(Row(label, found[0][worst], published[worst, 1], 0.02, scale=span))
+        rows.append(Row(label, found[0][worst], published[worst, 1], 0.012, scale=span))
         slip = published[:, 0] > 9
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(

@@ -117,7 +117,7 @@ def limits(device, precision) -> list[Row]:
         first = len(SHARES) if stable.all() else int(np.argmin(stable))
         limit = SHARES[first - 1] if first else 0.0
         # The estimate must be safe, 1 or more; how much it leaves is told, not asked for.
-        rows.append(Row(f"{label}: stable up to this share of the estimate (1 at least)", limit, max(limit, 1.0), 0.0))
+        rows.append(Row(f"{label}: stable up to this share of the estimate", limit, 1.0, 0.0, at_least=True))
     return rows
 
 
