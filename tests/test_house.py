@@ -145,11 +145,13 @@ def test_unstable_fixed_step_is_refused_and_a_stable_one_is_not(start):
     from warpcrete import SceneError
     from warpcrete.scene import Bodies, Contact, Scene, TimeStep
 
-    # Two touching spheres: K = k_n along the line, one contact's stiffness, stiffened by the dashpot.
+    # Two touching spheres, either of which may yet touch a wall: k_s = k_n/2 there moves and turns it, which
+    # makes 3.5 k_s; the normal dashpot comes on top.
     radius, beta = 0.01, 0.5
     mass = 2500 * 4 / 3 * math.pi * radius**3
-    k = 1e5 * math.pi * radius / (math.sqrt(1 + beta**2) - beta) ** 2
-    limit = math.sqrt(mass / k)
+    k = 1e5 * math.pi * radius / mass
+    c = 2 * beta * math.sqrt(k)
+    limit = 2 / (c + math.sqrt(c**2 + 4 * 1.75 * k))
 
     def scene(dt):
         return Scene(
