@@ -403,7 +403,7 @@ def _shares(text: str | None) -> tuple[float, ...] | None:
 def _simplifications(shapes: str) -> tuple[str, ...]:
     if shapes == "spheres":
         return (
-            "aggregates are single spheres, which run four times as fast as the paper's clumps; "
+            "aggregates are single spheres, which run several times as fast as the paper's clumps; "
             "--shapes reference uses clumps",
         )
     return ()
