@@ -1,12 +1,15 @@
-"""Verlet lists on Warp's hash grid, history carried over exactly, and spatial re-sorting."""
+"""Verlet lists on Warp's hash grid, history carried over exactly, and spatial re-sorting.
+
+All kernels run over a whole batch and pass by the scenes whose lists are fresh: those keep their rows.
+"""
 
 import functools
 from types import SimpleNamespace
 
 import warp as wp
 
-from .contacts import decode
-from .types import types, vector_functions
+from .contacts import ALL_TOUCHED, decode
+from .types import FAILED, GOAL, HALTED, SINCE_BUILD, STALE, STEPS, scene_struct, types, vector_functions
 
 
 @functools.cache
@@ -45,95 +48,139 @@ def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
     inverse[order[i]] = i
 
 
-@wp.kernel(enable_backward=False)
-def body_sphere_counts(
-    order: wp.array(dtype=wp.int32), first: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)
-):
-    """Spheres of the body that comes to place i."""
-    i = wp.tid()
-    count[i] = first[order[i] + 1] - first[order[i]]
+@functools.cache
+def order_kernels(scalar):
+    """Kernels that re-sort bodies and their spheres: ``keys``, ``counts``, ``spheres``, ``invert``.
 
+    Scenes keep their rows; inside those of a scene to be sorted (`sort[s]`) bodies follow the Morton code of their
+    cell, in the others they stay.
+    """
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
 
-@wp.kernel(enable_backward=False)
-def sphere_order(
-    order: wp.array(dtype=wp.int32),
-    old_first: wp.array(dtype=wp.int32),
-    new_first: wp.array(dtype=wp.int32),
-    spheres: wp.array(dtype=wp.int32),
-    sphere_body: wp.array(dtype=wp.int32),
-):
-    """Old places of the spheres in their new order, and their bodies' new places."""
-    i = wp.tid()
-    for c in range(new_first[i + 1] - new_first[i]):
-        spheres[new_first[i] + c] = old_first[order[i]] + c
-        sphere_body[new_first[i] + c] = i
+    @wp.kernel(module="unique", enable_backward=False)
+    def keys(
+        scenes: wp.array(dtype=SceneRow),
+        sort: wp.array(dtype=wp.int32),
+        body_scene: wp.array(dtype=wp.int32),
+        body_position: wp.array(dtype=t.vec3),
+        key: wp.array(dtype=wp.int64),
+        value: wp.array(dtype=wp.int32),
+    ):
+        """Scene, then Morton code of the body's cell, 10 bits a direction, wrapping beyond 1024 cells."""
+        b = wp.tid()
+        s = body_scene[b]
+        code = wp.int32(0)
+        if sort[s] != 0:
+            cell = scalar(2.0) * scenes[s].largest_radius + scenes[s].skin
+            x = body_position[b]
+            for c in range(3):
+                index = wp.int32(wp.floor(x[c] / cell)) & 1023
+                for bit in range(10):
+                    code = code | (((index >> bit) & 1) << (3 * bit + c))
+        else:
+            code = b - scenes[s].bodies
+        key[b] = (wp.int64(s) << wp.int64(30)) | wp.int64(code)
+        value[b] = b
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def counts(
+        body_scene: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        body_first: wp.array(dtype=wp.int32),
+        count: wp.array(dtype=wp.int32),
+    ):
+        """Spheres of the body that comes to place i."""
+        i = wp.tid()
+        s = body_scene[i]
+        count[i] = body_first[order[i] + s + 1] - body_first[order[i] + s]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def spheres(
+        scenes: wp.array(dtype=SceneRow),
+        body_scene: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        old_first: wp.array(dtype=wp.int32),
+        new_start: wp.array(dtype=wp.int32),
+        new_first: wp.array(dtype=wp.int32),
+        old_place: wp.array(dtype=wp.int32),
+        sphere_body: wp.array(dtype=wp.int32),
+    ):
+        """Old places of the spheres in their new order, their bodies' new places, and the bodies' first spheres."""
+        i = wp.tid()
+        s = body_scene[i]
+        base = scenes[s].spheres
+        for c in range(new_start[i + 1] - new_start[i]):
+            old_place[new_start[i] + c] = base + old_first[order[i] + s] + c
+            sphere_body[new_start[i] + c] = i - scenes[s].bodies
+        new_first[i + s] = new_start[i] - base
+        if i + 1 == scenes[s].bodies + scenes[s].body_count:
+            new_first[i + s + 1] = new_start[i + 1] - base
+
+    return SimpleNamespace(keys=keys, counts=counts, spheres=spheres)
 
 
 @functools.cache
 def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
-    """Kernels of one list layout: ``centres``, ``count``, ``fill``, ``cell_keys``.
+    """Kernels of one list layout: ``centres``, ``count``, ``fill``, ``stretch``, ``starts``, ``drift``, ``freshen``.
 
     In the half list the larger sphere of a pair holds it (the lower place of two equal ones), so a search
-    reaches no farther than its own diameter.
+    reaches no farther than its own diameter; pairs across chunks stand at both, so with several chunks the search
+    reaches for the largest.
     """
     t = types(scalar)
+    SceneRow = scene_struct(scalar)
     xyz = vector_functions(scalar).xyz
 
     @wp.kernel(module="unique", enable_backward=False)
     def centres(
+        flags: wp.array2d(dtype=wp.int32),
+        sphere_scene: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
         sphere_centre: wp.array(dtype=t.vec3),
         sphere_built: wp.array(dtype=t.vec4),
     ):
         i = wp.tid()
         sphere_centre[i] = xyz(sphere_position[i])
-        sphere_built[i] = sphere_position[i]
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def cell_keys(
-        body_position: wp.array(dtype=t.vec3),
-        cell: scalar,
-        keys: wp.array(dtype=wp.int32),
-        values: wp.array(dtype=wp.int32),
-    ):
-        """Morton code of the body's cell, 10 bits a direction, wrapping beyond 1024 cells."""
-        b = wp.tid()
-        x = body_position[b]
-        key = wp.int32(0)
-        for c in range(3):
-            index = wp.int32(wp.floor(x[c] / cell)) & 1023
-            for bit in range(10):
-                key = key | (((index >> bit) & 1) << (3 * bit + c))
-        keys[b] = key
-        values[b] = b
+        if flags[sphere_scene[i], STALE] != 0:
+            sphere_built[i] = sphere_position[i]
 
     @wp.func
-    def holds(i: wp.int32, j: wp.int32, radius_i: scalar, radius_j: scalar):
+    def holds(i: wp.int32, j: wp.int32, radius_i: scalar, radius_j: scalar, first: wp.int32, last: wp.int32):
         if wp.static(half):
+            if j < first or j >= last:
+                return True
             return radius_j < radius_i or (radius_j == radius_i and j > i)
         return i != j
 
     @wp.func
-    def find(start: wp.array(dtype=wp.int32), other: wp.array(dtype=wp.int32), i: wp.int32, j: wp.int32):
+    def find(start: wp.array(dtype=wp.int32), other: wp.array(dtype=wp.int32), s: wp.int32, base: wp.int32,
+             pairs: wp.int32, i: wp.int32, j: wp.int32):  # fmt: skip
         """Place of the pair in the old list, or -1. A half list may hold it at either sphere."""
-        for k in range(start[i], start[i + 1]):
-            if decode(other[k]) == j:
+        for k in range(pairs + start[i + s], pairs + start[i + s + 1]):
+            if base + decode(other[k]) == j:
                 return k
         if wp.static(half):
-            for k in range(start[j], start[j + 1]):
-                if decode(other[k]) == i:
+            for k in range(pairs + start[j + s], pairs + start[j + s + 1]):
+                if base + decode(other[k]) == i:
                     return k
         return wp.int32(-1)
 
     def build(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def pairs(
+            scenes: wp.array(dtype=SceneRow),
+            flags: wp.array2d(dtype=wp.int32),
             grid: wp.uint64,
+            first: wp.int32,
+            last: wp.int32,
+            parts: wp.int32,
+            sphere_scene: wp.array(dtype=wp.int32),
             sphere_position: wp.array(dtype=t.vec4),
             sphere_body: wp.array(dtype=wp.int32),
             sphere_id: wp.array(dtype=wp.int32),
-            largest_radius: scalar,
-            skin: scalar,
+            scale: wp.array(dtype=scalar),
+            stretched: wp.array(dtype=scalar),
             old_place: wp.array(dtype=wp.int32),
             new_place: wp.array(dtype=wp.int32),
             old_start: wp.array(dtype=wp.int32),
@@ -144,74 +191,181 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
             old_bond_moment: wp.array(dtype=t.vec4),
             start: wp.array(dtype=wp.int32),
             count: wp.array(dtype=wp.int32),
+            sphere_touching: wp.array(dtype=wp.int32),
             other: wp.array(dtype=wp.int32),
             pair_history: wp.array(dtype=t.vec3),
             bond: wp.array(dtype=wp.int32),
             bond_force: wp.array(dtype=t.vec4),
             bond_moment: wp.array(dtype=t.vec4),
         ):
-            i = wp.tid()
+            i = first + wp.tid()
+            s = sphere_scene[i]
+            if flags[s, STALE] == 0:
+                return
+            base = scenes[s].spheres
+            place = scenes[s].pairs
+            skin = scenes[s].skin
             x = xyz(sphere_position[i])
             radius = sphere_position[i][3]
             body = sphere_body[i]
             old_i = old_place[i]
-            reach = radius + largest_radius + skin
+            reach = radius + scale[s] * scenes[s].largest_radius + skin
             if wp.static(half):
-                reach = radius + radius + skin
+                if parts == 1:
+                    reach = radius + radius + skin
             found = wp.int32(0)
-            query = wp.hash_grid_query(grid, x, reach)
+            row = place
+            if wp.static(fill):
+                row = place + start[i + s]
+                if wp.static(history or bonds):
+                    sphere_touching[i] = wp.static(ALL_TOUCHED)
+            if wp.static(bonds):
+                reach += wp.max(stretched[i] - skin, scalar(0.0))
+            query = wp.hash_grid_query(grid, x, reach, s)
             j = wp.int32(0)
             while wp.hash_grid_query_next(query, j):
                 position_j = sphere_position[j]
-                if holds(i, j, radius, position_j[3]) and sphere_body[j] != body:
-                    limit = radius + position_j[3] + skin
-                    if wp.length_sq(xyz(position_j) - x) < limit * limit:
+                limit = radius + position_j[3] + skin
+                close = wp.length_sq(xyz(position_j) - x) < limit * limit
+                if wp.static(bonds):
+                    # Bonds that hold across a gap wider than the skin stay in the list.
+                    if not close and stretched[i] > skin:
+                        old = find(old_start, old_other, s, base, place, old_i, old_place[j])
+                        if old >= 0:
+                            close = old_bond[old] > 0
+                if close:
+                    if holds(i, j, radius, position_j[3], first, last) and sphere_body[j] != body:
                         if wp.static(fill):
-                            k = start[i] + found
-                            if sphere_id[j] > sphere_id[i]:
-                                other[k] = j
-                            else:
-                                other[k] = -1 - j
-                            if wp.static(history or bonds):
-                                old = find(old_start, old_other, old_i, old_place[j])
-                                if wp.static(history):
-                                    if old >= 0:
-                                        pair_history[k] = old_history[old]
-                                    else:
-                                        pair_history[k] = t.vec3()
-                                if wp.static(bonds):
-                                    if old >= 0:
-                                        bond[k] = old_bond[old]
-                                        bond_force[k] = old_bond_force[old]
-                                        bond_moment[k] = old_bond_moment[old]
-                                    else:
-                                        bond[k] = 0
-                                        bond_force[k] = t.vec4()
-                                        bond_moment[k] = t.vec4()
+                            # Rows ascend, whatever the order in which the grid finds neighbours: the sums of a
+                            # step then do not depend on the grid, which scenes of a batch share.
+                            k = row + found
+                            for ahead in range(found):
+                                if other[k - 1] < j - base:
+                                    break
+                                other[k] = other[k - 1]
+                                k = k - 1
+                            other[k] = j - base
                         found += 1
-            if wp.static(bonds):
-                # Bonds that hold across a gap wider than the skin stay in the list.
-                for old in range(old_start[old_i], old_start[old_i + 1]):
-                    if old_bond[old] > 0:
-                        j = new_place[decode(old_other[old])]
-                        position_j = sphere_position[j]
-                        limit = radius + position_j[3] + skin
-                        if wp.length_sq(xyz(position_j) - x) >= limit * limit:
-                            if wp.static(fill):
-                                k = start[i] + found
-                                if sphere_id[j] > sphere_id[i]:
-                                    other[k] = j
-                                else:
-                                    other[k] = -1 - j
-                                if wp.static(history):
-                                    pair_history[k] = old_history[old]
+            if wp.static(fill):
+                for k in range(row, row + found):
+                    j = base + other[k]
+                    if sphere_id[j] < sphere_id[i]:
+                        other[k] = -1 - (j - base)
+                    if wp.static(history or bonds):
+                        old = find(old_start, old_other, s, base, place, old_i, old_place[j])
+                        if wp.static(history):
+                            if old >= 0:
+                                pair_history[k] = old_history[old]
+                            else:
+                                pair_history[k] = t.vec3()
+                        if wp.static(bonds):
+                            if old >= 0:
                                 bond[k] = old_bond[old]
                                 bond_force[k] = old_bond_force[old]
                                 bond_moment[k] = old_bond_moment[old]
-                            found += 1
+                            else:
+                                bond[k] = 0
+                                bond_force[k] = t.vec4()
+                                bond_moment[k] = t.vec4()
             if not wp.static(fill):
-                count[i] = found
+                count[i + s] = found
 
         return pairs
 
-    return SimpleNamespace(centres=centres, cell_keys=cell_keys, count=build(False), fill=build(True))
+    @wp.kernel(module="unique", enable_backward=False)
+    def stretch(
+        scenes: wp.array(dtype=SceneRow),
+        flags: wp.array2d(dtype=wp.int32),
+        sphere_scene: wp.array(dtype=wp.int32),
+        sphere_position: wp.array(dtype=t.vec4),
+        old_place: wp.array(dtype=wp.int32),
+        new_place: wp.array(dtype=wp.int32),
+        old_start: wp.array(dtype=wp.int32),
+        old_other: wp.array(dtype=wp.int32),
+        old_bond: wp.array(dtype=wp.int32),
+        stretched: wp.array(dtype=scalar),
+    ):
+        """Longest gap of each sphere across which a bond of the old list holds, a little more for rounding."""
+        i = wp.tid()
+        s = sphere_scene[i]
+        if flags[s, STALE] == 0:
+            return
+        base = scenes[s].spheres
+        old_i = old_place[i]
+        for old in range(scenes[s].pairs + old_start[old_i + s], scenes[s].pairs + old_start[old_i + s + 1]):
+            if old_bond[old] > 0:
+                j = new_place[base + decode(old_other[old])]
+                position_j = sphere_position[j]
+                distance = wp.length(xyz(position_j) - xyz(sphere_position[i]))
+                gap = scalar(1.001) * (distance - sphere_position[i][3] - position_j[3])
+                if gap > scenes[s].skin:
+                    wp.atomic_max(stretched, i, gap)
+                    wp.atomic_max(stretched, j, gap)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def starts(
+        scenes: wp.array(dtype=SceneRow),
+        flags: wp.array2d(dtype=wp.int32),
+        slot_scene: wp.array(dtype=wp.int32),
+        scanned: wp.array(dtype=wp.int32),
+        start: wp.array(dtype=wp.int32),
+        total: wp.array(dtype=wp.int32),
+    ):
+        """Row starts of the stale scenes from a scan over all; the last row of a scene tells how many pairs it has."""
+        e = wp.tid()
+        s = slot_scene[e]
+        if flags[s, STALE] == 0:
+            return
+        begin = scenes[s].spheres + s
+        start[e] = scanned[e] - scanned[begin]
+        if e == begin + scenes[s].sphere_count:
+            total[s] = scanned[e] - scanned[begin]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def drift(
+        scenes: wp.array(dtype=SceneRow),
+        flags: wp.array2d(dtype=wp.int32),
+        sphere_velocity: wp.array(dtype=t.vec4),
+        lanes: wp.array2d(dtype=wp.vec3d),
+    ):
+        """Sum of velocities of a share of a scene's spheres."""
+        s, lane = wp.tid()
+        if flags[s, STALE] == 0:
+            return
+        total = wp.vec3d()
+        n = wp.int64(scenes[s].sphere_count)
+        shares = wp.int64(lanes.shape[1])
+        first = wp.int32(n * wp.int64(lane) / shares)
+        last = wp.int32(n * wp.int64(lane + 1) / shares)
+        for i in range(scenes[s].spheres + first, scenes[s].spheres + last):
+            total += wp.vec3d(xyz(sphere_velocity[i]))
+        lanes[s, lane] = total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def freshen(
+        scenes: wp.array(dtype=SceneRow),
+        lanes: wp.array2d(dtype=wp.vec3d),
+        reference_velocity: wp.array(dtype=t.vec3),
+        wall_moved: wp.array(dtype=wp.float64),
+        clock: wp.array2d(dtype=wp.float64),
+        flags: wp.array2d(dtype=wp.int32),
+    ):
+        """One thread a scene: the lists are as new; go on, unless the goal is reached."""
+        s = wp.tid()
+        if flags[s, STALE] == 0:
+            return
+        total = wp.vec3d()
+        for lane in range(lanes.shape[1]):
+            total += lanes[s, lane]
+        reference_velocity[s] = t.vec3(total / wp.float64(wp.max(scenes[s].sphere_count, 1)))
+        for w in range(scenes[s].walls, scenes[s].walls + scenes[s].wall_count):
+            wall_moved[w] = wp.float64(0.0)
+        clock[s, SINCE_BUILD] = wp.float64(0.0)
+        flags[s, STALE] = 0
+        if flags[s, STEPS] < flags[s, GOAL] and flags[s, FAILED] == 0:
+            flags[s, HALTED] = 0
+
+    return SimpleNamespace(
+        centres=centres, count=build(False), fill=build(True), stretch=stretch, starts=starts, drift=drift,
+        freshen=freshen,
+    )  # fmt: skip

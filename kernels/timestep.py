@@ -16,14 +16,18 @@ from .bond_parallel import bond_functions
 from .contact_law import contact_functions
 from .contacts import decode
 from .geometry import axis_functions
-from .types import types, vector_functions
-from .wall_motion import PLANE, wall_struct
+from .types import DT, STABLE, scene_struct, types, vector_functions
+from .wall_motion import DRIVEN, PLANE, wall_struct
 
 
 @functools.cache
 def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
-    """Kernels ``gather`` over spheres (sums of K and C) and ``reduce`` over bodies (smallest step)."""
+    """Kernels over one scene: ``begin``, ``gather`` (K and C of each sphere), ``reduce`` (smallest step), ``settle``.
+
+    In the half list `first` and `last` bound the chunk of spheres whose pairs are counted.
+    """
     t = types(scalar)
+    SceneRow = scene_struct(scalar)
     PairParameters = pair_law(scalar).Parameters
     WallParameters = wall_law(scalar).Parameters
     pair_stiffness = pair_law(scalar).stiffness
@@ -53,22 +57,44 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         return (kn - ks) * wp.outer(c, c) + ks * levers + outer(n, torsion, bending)
 
     @wp.func
+    def hurry(fastest: wp.array(dtype=wp.float64), s: wp.int32, speed: scalar):
+        # The plain read spares nearly all atomics; it may be old, never too high.
+        if wp.float64(speed) > fastest[s]:
+            wp.atomic_max(fastest, s, wp.float64(speed))
+
+    @wp.func
     def load_wall(wall_load: wp.array2d(dtype=wp.int64), w: wp.int32, k: t.vec4):
         # Stiffness [mN/m] and damping [mN s/m] that a wall meets; whole numbers add up the same in any order.
         wp.atomic_add(wall_load, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
         wp.atomic_add(wall_load, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
 
     @wp.kernel(module="unique", enable_backward=False)
+    def begin(
+        scenes: wp.array(dtype=SceneRow),
+        s: wp.int32,
+        smallest: wp.array(dtype=wp.float64),
+        fastest: wp.array(dtype=wp.float64),
+        wall_load: wp.array2d(dtype=wp.int64),
+    ):
+        smallest[s] = wp.float64(1.0e30)
+        fastest[s] = scenes[s].foreseen_speed
+        for w in range(scenes[s].walls, scenes[s].walls + scenes[s].wall_count):
+            wall_load[w, 0] = wp.int64(0)
+            wall_load[w, 1] = wp.int64(0)
+
+    @wp.kernel(module="unique", enable_backward=False)
     def gather(
+        scenes: wp.array(dtype=SceneRow),
+        s: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         bond_parameters: wp.array(dtype=Bond),
-        materials: wp.int32,
         walls: wp.array(dtype=Wall),
-        analytic: wp.int32,
         segments: wp.array(dtype=Segment),
         wall_position: wp.array(dtype=t.vec3),
-        wall_orientation: wp.array(dtype=t.quat),
+        wall_normal: wp.array(dtype=t.vec3),
         wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
         body_position: wp.array(dtype=t.vec3),
@@ -79,6 +105,7 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3),
         slot_overlap: wp.array2d(dtype=scalar),
+        slots: wp.int32,
         pair_start: wp.array(dtype=wp.int32),
         pair_other: wp.array(dtype=wp.int32),
         pair_bond: wp.array(dtype=wp.int32),
@@ -87,21 +114,24 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         fastest: wp.array(dtype=wp.float64),
     ):
         """`sums` has columns K and C of translation, K and C of rotation; `fastest` the largest speed [m/s]."""
-        i = wp.tid()
+        i = first + wp.tid()
         zero = scalar(0.0)
+        base = scenes[s].spheres
+        materials = scenes[s].materials
         xi = xyz(sphere_position[i])
         radius_i = sphere_position[i][3]
         velocity_i = xyz(sphere_velocity[i])
         mass_i = sphere_velocity[i][3]
-        row = sphere_material[i] * materials
-        arm_i = xi - body_position[sphere_body[i]]
+        row = scenes[s].laws + sphere_material[i] * materials
+        arm_i = xi - body_position[scenes[s].bodies + sphere_body[i]]
         k_sum = t.mat33()
         c_sum = t.mat33()
         k_turn = t.mat33()
         c_turn = t.mat33()
-        wp.atomic_max(fastest, 0, wp.float64(wp.length(velocity_i)))
-        for pair in range(pair_start[i], pair_start[i + 1]):
-            j = decode(pair_other[pair])
+        hurry(fastest, s, wp.length(velocity_i))
+        pairs = scenes[s].pairs
+        for pair in range(pairs + pair_start[i + s], pairs + pair_start[i + s + 1]):
+            j = base + decode(pair_other[pair])
             offset = xyz(sphere_position[j]) - xi
             radius_j = sphere_position[j][3]
             length = radius_i + radius_j
@@ -119,7 +149,7 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
                 held = t.vec4()
                 if wp.static(bonds):
                     if bond > 0:
-                        held = bond_stiffness(bond_parameters[bond], touch)
+                        held = bond_stiffness(bond_parameters[scenes[s].bonds + bond], touch)
                 kn = k[0] + held[0]
                 ks = k[1] + held[1]
                 block = outer(n, kn, ks)
@@ -129,29 +159,32 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
                 k_turn += turning(arm_i + radius_i * n, n, kn, ks, held[2], held[3])
                 c_turn += turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 if wp.static(half):
-                    lever = xyz(sphere_position[j]) - body_position[sphere_body[j]] - radius_j * n
-                    sums[j, 0] = sums[j, 0] + block
-                    sums[j, 1] = sums[j, 1] + damping
-                    sums[j, 2] = sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
-                    sums[j, 3] = sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
-        for w in range(wall_velocity.shape[0]):
+                    if j >= first and j < last:
+                        lever = (
+                            xyz(sphere_position[j]) - body_position[scenes[s].bodies + sphere_body[j]] - radius_j * n
+                        )
+                        sums[j, 0] = sums[j, 0] + block
+                        sums[j, 1] = sums[j, 1] + damping
+                        sums[j, 2] = sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
+                        sums[j, 3] = sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
+        for w in range(scenes[s].walls, scenes[s].walls + scenes[s].wall_count):
             surface = wall_velocity[w] + wp.cross(wall_spin[w], xi - wall_position[w])
-            wp.atomic_max(fastest, 0, wp.float64(wp.length(surface)))
-        for slot in range(slot_wall.shape[1]):
-            w = slot
+            hurry(fastest, s, wp.length(surface))
+        for slot in range(slots):
+            w = scenes[s].walls + slot
             n = t.vec3()  # into the wall
             overlap = scalar(-1.0)
-            if slot < analytic:
+            if slot < scenes[s].analytic:
                 if walls[w].kind == PLANE:
-                    n = -wp.quat_rotate(wall_orientation[w], walls[w].normal)
+                    n = -wall_normal[w]
                     overlap = radius_i + wp.dot(xi - wall_position[w], n)
                 else:
                     offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, xi - wall_position[w])
                     n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
                     overlap = radius_i + wp.length(offset) - walls[w].radius
             else:
-                w = slot_wall[i, slot]
-                if w >= 0:
+                w = scenes[s].walls + slot_wall[i, slot]
+                if slot_wall[i, slot] >= 0:
                     n = slot_normal[i, slot]
                     overlap = slot_overlap[i, slot]
             if overlap > zero:
@@ -186,9 +219,10 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def reduce(
+        scenes: wp.array(dtype=SceneRow),
+        s: wp.int32,
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
-        materials: wp.int32,
         fastest: wp.array(dtype=wp.float64),
         body_mass: wp.array(dtype=scalar),
         body_inertia: wp.array(dtype=t.vec3),
@@ -201,7 +235,9 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         sums: wp.array2d(dtype=t.mat33),
         smallest: wp.array(dtype=wp.float64),
     ):
-        b = wp.tid()
+        b = scenes[s].bodies + wp.tid()
+        base = scenes[s].spheres
+        materials = scenes[s].materials
         mass = body_mass[b]
         inertia = body_inertia[b]
         slight = wp.min(inertia)
@@ -212,29 +248,30 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         c_turn = t.mat33()
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
-        for s in range(body_first[b], body_first[b + 1]):
-            k_sum += sums[s, 0]
-            c_sum += sums[s, 1]
-            k_turn += sums[s, 2]
-            c_turn += sums[s, 3]
+        for place in range(base + body_first[b + s], base + body_first[b + s + 1]):
+            k_sum += sums[place, 0]
+            c_sum += sums[place, 1]
+            k_turn += sums[place, 2]
+            c_turn += sums[place, 3]
             for column in range(4):
-                sums[s, column] = t.mat33()
+                sums[place, column] = t.mat33()
             # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
             n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
-            radius = sphere_position[s][3]
-            closing = -wp.length(xyz(sphere_velocity[s])) - scalar(fastest[0])
+            radius = sphere_position[place][3]
+            closing = -wp.length(xyz(sphere_velocity[place])) - scalar(fastest[s])
             touch = wall_touch(n, scalar(0.0), closing * n, scalar(0.0), radius, mass)
-            lever = radius + wp.length(xyz(sphere_position[s]) - body_position[b])
+            lever = radius + wp.length(xyz(sphere_position[place]) - body_position[b])
             # Shear moves and turns the body: about its long axis with the sphere's radius as lever, across it
-            # with the whole arm.
+            # with the whole arm. Springs may be twice as stiff as the step allows two bodies, since a single one
+            # has nothing that moves against it; dashpots, taken half a step late, have no such reserve.
             turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             for m in range(materials):
-                row = sphere_material[s] * materials + m
+                row = scenes[s].laws + sphere_material[place] * materials + m
                 k = pair_stiffness(pair_parameters[row], touch)
-                k_floor = wp.max(k_floor, wp.max(k[0], turn * k[1]))
+                k_floor = wp.max(k_floor, wp.max(k[0], scalar(0.5) * turn * k[1]))
                 c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
                 k = wall_stiffness(wall_parameters[row], touch)
-                k_floor = wp.max(k_floor, wp.max(k[0], turn * k[1]))
+                k_floor = wp.max(k_floor, wp.max(k[0], scalar(0.5) * turn * k[1]))
                 c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
         unit = t.vec3(mass, mass, mass)
         step = stable(wp.max(row_sum(k_sum, unit), k_floor / mass), wp.max(row_sum(c_sum, unit), c_floor / mass))
@@ -242,6 +279,35 @@ def timestep_kernels(scalar, pair_law, wall_law, half: bool, bonds: bool):
         k_spin = row_sum(wp.transpose(axes) * k_turn * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * c_turn * axes, inertia)))
-        wp.atomic_min(smallest, 0, wp.float64(step))
+        if wp.float64(step) < smallest[s]:
+            wp.atomic_min(smallest, s, wp.float64(step))
+        elif not (step >= scalar(0.0)):
+            smallest[s] = wp.float64(-1.0)
 
-    return gather, reduce
+    @wp.kernel(module="unique", enable_backward=False)
+    def settle(
+        scenes: wp.array(dtype=SceneRow),
+        s: wp.int32,
+        walls: wp.array(dtype=Wall),
+        wall_load: wp.array2d(dtype=wp.int64),
+        smallest: wp.array(dtype=wp.float64),
+        clock: wp.array2d(dtype=wp.float64),
+    ):
+        """One thread: the scene's stable step, driven walls included, and the size of its next steps."""
+        one = wp.float64(1.0)
+        step = smallest[s]
+        for w in range(scenes[s].walls, scenes[s].walls + scenes[s].wall_count):
+            if walls[w].motion == DRIVEN:
+                # A driven wall is a body, too; never less than one contact with the largest sphere.
+                stiffness = wp.max(wp.float64(1.0e-3) * wp.float64(wall_load[w, 0]), scenes[s].wall_stiffness)
+                # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
+                ratio = wp.float64(0.5e-3) * wp.float64(wall_load[w, 1]) / wp.sqrt(walls[w].mass * stiffness)
+                own = wp.sqrt(walls[w].mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)
+                step = wp.min(step, own)
+        clock[s, STABLE] = step
+        if scenes[s].fixed_step > wp.float64(0.0):
+            clock[s, DT] = scenes[s].fixed_step
+        else:
+            clock[s, DT] = wp.min(scenes[s].safety * step, scenes[s].largest_step)
+
+    return begin, gather, reduce, settle

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from .types import DT, DT_PREVIOUS, FAILED, FORCE_SCALE, LATE, STALE, TIME, types
+from .types import DT, DT_PREVIOUS, FAILED, FORCE_SCALE, HALTED, LATE, TIME, scene_struct, types
 
 PLANE = wp.constant(0)
 PIPE = wp.constant(1)
@@ -50,6 +50,7 @@ def wall_struct(scalar):
 def advance_kernel(scalar):
     """One thread a wall: collect the step's forces, move to the next time."""
     t = types(scalar)
+    SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
 
     @wp.func
@@ -61,17 +62,20 @@ def advance_kernel(scalar):
             return wp.float64(0.5) * time * time / ramp
         return time - wp.float64(0.5) * ramp
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance(
+        scenes: wp.array(dtype=SceneRow),
+        wall_scene: wp.array(dtype=wp.int32),
         walls: wp.array(dtype=Wall),
         rest_position: wp.array(dtype=wp.vec3d),
-        clock: wp.array(dtype=wp.float64),
-        flags: wp.array(dtype=wp.int32),
-        step_force: wp.array2d(dtype=wp.int64),
+        clock: wp.array2d(dtype=wp.float64),
+        flags: wp.array2d(dtype=wp.int32),
+        step_force: wp.array3d(dtype=wp.int64),
         position_exact: wp.array(dtype=wp.vec3d),
         velocity_exact: wp.array(dtype=wp.vec3d),
         position: wp.array(dtype=t.vec3),
         orientation: wp.array(dtype=t.quat),
+        normal: wp.array(dtype=t.vec3),
         velocity: wp.array(dtype=t.vec3),
         spin: wp.array(dtype=t.vec3),
         force: wp.array(dtype=wp.vec3d),
@@ -81,38 +85,38 @@ def advance_kernel(scalar):
         travel: wp.array(dtype=wp.float64),
         work: wp.array(dtype=wp.float64),
         moved: wp.array(dtype=wp.float64),
-        mesh_skin: wp.float64,
     ):
         w = wp.tid()
-        if flags[STALE] != 0 or flags[FAILED] != 0:
+        s = wall_scene[w]
+        if flags[s, HALTED] != 0:
             return
-        dt = clock[DT]
+        dt = clock[s, DT]
         # Forces act from the middle of the step before to the middle of this one.
-        kick = wp.float64(0.5) * (dt + clock[DT_PREVIOUS])
+        kick = wp.float64(0.5) * (dt + clock[s, DT_PREVIOUS])
         wall = walls[w]
-        unit = wp.float64(1.0) / clock[FORCE_SCALE]
-        f = wp.vec3d(
-            unit * wp.float64(step_force[w, 0]),
-            unit * wp.float64(step_force[w, 1]),
-            unit * wp.float64(step_force[w, 2]),
-        )
-        m = wp.vec3d(
-            unit * wp.float64(step_force[w, 3]),
-            unit * wp.float64(step_force[w, 4]),
-            unit * wp.float64(step_force[w, 5]),
-        )
-        for c in range(6):
-            step_force[w, c] = wp.int64(0)
+        unit = wp.float64(1.0) / clock[s, FORCE_SCALE]
+        f = wp.vec3d()
+        m = wp.vec3d()
+        for c in range(3):
+            push = wp.int64(0)
+            turn = wp.int64(0)
+            for part in range(step_force.shape[0]):
+                push += step_force[part, w, c]
+                turn += step_force[part, w, c + 3]
+                step_force[part, w, c] = wp.int64(0)
+                step_force[part, w, c + 3] = wp.int64(0)
+            f[c] = unit * wp.float64(push)
+            m[c] = unit * wp.float64(turn)
         force[w] = f
         moment[w] = m
         impulse[w] = impulse[w] + kick * f
         angular_impulse[w] = angular_impulse[w] + kick * m
         before = position_exact[w]
         # Work done on the material, with the velocity of the middle of the step that ends here.
-        work[w] = work[w] - wp.float64(0.5) * clock[DT_PREVIOUS] * (
+        work[w] = work[w] - wp.float64(0.5) * clock[s, DT_PREVIOUS] * (
             wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w]))
         )
-        now = clock[TIME] + dt - wall.start_time
+        now = clock[s, TIME] + dt - wall.start_time
         if wall.motion == PRESCRIBED:
             gone = ramped(now, wall.ramp_time)
             angle = gone * wp.length(wall.spin)
@@ -121,6 +125,7 @@ def advance_kernel(scalar):
                 q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
                 after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
                 orientation[w] = t.quat(q)
+                normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
             after += gone * wall.velocity  # the pivot travels along
             rate = wp.float64(0.0)
             if dt > wp.float64(0.0):
@@ -137,12 +142,12 @@ def advance_kernel(scalar):
         elif wall.motion == DRIVEN and now >= wp.float64(0.0):
             direction = wp.normalize(wall.velocity)
             speed = wp.dot(velocity_exact[w], direction)
-            push = wall.drive_force + wp.dot(f, direction)
+            push_along = wall.drive_force + wp.dot(f, direction)
             # The damper acts on the mean of old and new speed, which is stable for any damping.
             half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
-            speed = ((wp.float64(1.0) - half) * speed + kick * push / wall.mass) / (wp.float64(1.0) + half)
+            speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
             if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-                flags[FAILED] = -1 - w
+                flags[s, FAILED] = -1 - (w - scenes[s].walls)
             velocity_exact[w] = speed * direction
             position_exact[w] = before + dt * speed * direction
             travel[w] = travel[w] + dt * speed
@@ -151,7 +156,7 @@ def advance_kernel(scalar):
         work[w] = work[w] - wp.float64(0.5) * dt * (wp.dot(f, velocity_exact[w]) + wp.dot(m, wp.vec3d(spin[w])))
         if wall.kind == MESH and wall.motion != FIXED:
             moved[w] = moved[w] + dt * (wp.length(velocity_exact[w]) + wp.length(wp.vec3d(spin[w])) * wall.extent)
-            if moved[w] > wp.float64(0.5) * mesh_skin:
-                flags[LATE] = 1
+            if moved[w] > wp.float64(0.5) * wp.float64(scenes[s].mesh_skin):
+                flags[s, LATE] = 1
 
     return advance

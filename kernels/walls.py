@@ -5,51 +5,207 @@ Mesh contact keeps a candidate only where its closest point is a local minimum o
 no edge that meets there may. That leaves one contact on any triangulated plane and on convex edges and
 corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
 minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
+
+Forces on walls are summed in fixed point (int64, `clock[FORCE_SCALE]` units per newton): the same bits in any
+order. Contact slots of a sphere: one for each plane or pipe, then, with meshes, MESH_SLOTS for all of them.
 """
 
 import functools
 import math
+from types import SimpleNamespace
 
 import warp as wp
 
 from .contact_law import contact_functions
 from .geometry import axis_functions, triangle_functions
-from .types import DT_PREVIOUS, FAILED, FORCE_SCALE, OVERFLOW, STALE, types, vector_functions
+from .types import DT_PREVIOUS, FORCE_SCALE, HALTED, OVERFLOW, STALE, scene_struct, types, vector_functions
 from .wall_motion import PLANE, wall_struct
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time; more sets OVERFLOW
+WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
 
 
 @functools.cache
-def wall_kernel(scalar, law, meshes: bool, losses: bool):
-    """Kernel over spheres: adds wall forces to spheres and, in fixed point, to the walls; `losses` as for contacts.
-
-    Fixed-point sums (int64, `clock[FORCE_SCALE]` units per newton) give the same bits in any order.
-    Contact slots of a sphere: one for each plane or pipe, then, with meshes, MESH_SLOTS for all of them.
-    """
+def wall_force_function(scalar):
+    """`add_to_wall`: force and moment, in fixed point, on wall `w` of the whole batch."""
     t = types(scalar)
+
+    @wp.func
+    def add_to_wall(
+        step_force: wp.array3d(dtype=wp.int64), part: wp.int32, w: wp.int32, f: t.vec3, m: t.vec3, scale: wp.float64
+    ):
+        for c in range(3):
+            wp.atomic_add(step_force, part, w, c, wp.int64(wp.round(wp.float64(f[c]) * scale)))
+            wp.atomic_add(step_force, part, w, c + 3, wp.int64(wp.round(wp.float64(m[c]) * scale)))
+
+    return add_to_wall
+
+
+@functools.cache
+def analytic_wall_functions(scalar, law, losses: bool):
+    """`analytic_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes."""
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
     axis = axis_functions(scalar)
     Segment = axis.Segment
     closest_on_axis = axis.closest_on_axis
-    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
     Parameters = law(scalar).Parameters
     contact_force = law(scalar).force
     contact_energy = law(scalar).energy
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
+    add_to_wall = wall_force_function(scalar)
+
+    @wp.func
+    def analytic_walls(
+        i: wp.int32,
+        scene: SceneRow,
+        part: wp.int32,
+        dt: scalar,
+        position: t.vec4,
+        velocity: t.vec4,
+        spin: t.vec3,
+        material: wp.int32,
+        parameters: wp.array(dtype=Parameters),
+        walls: wp.array(dtype=Wall),
+        segments: wp.array(dtype=Segment),
+        wall_position: wp.array(dtype=t.vec3),
+        wall_normal: wp.array(dtype=t.vec3),
+        wall_velocity: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3),
+        scale: wp.float64,
+        slot_touching: wp.array(dtype=wp.int32),
+        slot_history: wp.array2d(dtype=t.vec3),
+        step_force: wp.array3d(dtype=wp.int64),
+    ):
+        x = xyz(position)
+        radius = position[3]
+        row = scene.laws + material * scene.materials
+        total_force = t.vec3()
+        total_moment = t.vec3()
+        total_lost = wp.float64(0.0)
+        before = slot_touching[i]
+        now = wp.int32(0)
+        for slot in range(scene.analytic):
+            w = scene.walls + slot
+            gap = scalar(0.0)
+            n = t.vec3()  # from the sphere into the wall
+            if walls[w].kind == PLANE:
+                n = -wall_normal[w]
+                gap = wp.dot(wall_position[w] - x, n) - radius
+            else:
+                offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, x - wall_position[w])
+                length = wp.length(offset)
+                gap = walls[w].radius - length - radius
+                if gap < scalar(0.0):
+                    n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+            if gap < scalar(0.0):
+                arm = radius + gap
+                point = x + arm * n
+                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
+                relative = surface - xyz(velocity) - wp.cross(spin, arm * n)
+                twist = scalar(0.5) * dt * wp.dot(spin + wall_spin[w], n)
+                touch = wall_touch(n, gap, relative, twist, radius, velocity[3])
+                f, new_history, lost = contact_force(
+                    parameters[row + walls[w].material], touch, slot_history[i, slot], dt
+                )
+                slot_history[i, slot] = new_history
+                if slot < WALL_BITS:
+                    now = now | (1 << slot)
+                total_lost += wp.float64(lost)
+                total_force += f
+                total_moment += wp.cross(arm * n, f)
+                add_to_wall(step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
+            elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
+                if wp.static(losses):
+                    touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                    p = parameters[row + walls[w].material]
+                    total_lost += wp.float64(contact_energy(p, touch, slot_history[i, slot]))
+                slot_history[i, slot] = t.vec3()
+        if now != before:
+            slot_touching[i] = now
+        return total_force, total_moment, total_lost
+
+    return SimpleNamespace(Segment=Segment, analytic_walls=analytic_walls)
+
+
+@functools.cache
+def wall_kernel(scalar, law, losses: bool):
+    """Kernel over spheres: adds the forces of planes and pipes, where the contact kernel does not do that, too.
+
+    On a CPU two kernels are faster: clang inlines a law that a kernel calls once, not one that it calls twice.
+    """
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
+    Wall = wall_struct(scalar)
+    Parameters = law(scalar).Parameters
+    analytic = analytic_wall_functions(scalar, law, losses)
+    Segment = analytic.Segment
+    analytic_walls = analytic.analytic_walls
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def wall_contacts(
+        scenes: wp.array(dtype=SceneRow),
+        first: wp.int32,
+        part: wp.int32,
+        parameters: wp.array(dtype=Parameters),
+        walls: wp.array(dtype=Wall),
+        segments: wp.array(dtype=Segment),
+        wall_position: wp.array(dtype=t.vec3),
+        wall_normal: wp.array(dtype=t.vec3),
+        wall_velocity: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3),
+        sphere_scene: wp.array(dtype=wp.int32),
+        sphere_position: wp.array(dtype=t.vec4),
+        sphere_velocity: wp.array(dtype=t.vec4),
+        sphere_spin: wp.array(dtype=t.vec3),
+        sphere_material: wp.array(dtype=wp.int32),
+        clock: wp.array2d(dtype=wp.float64),
+        flags: wp.array2d(dtype=wp.int32),
+        slot_touching: wp.array(dtype=wp.int32),
+        slot_history: wp.array2d(dtype=t.vec3),
+        force: wp.array(dtype=t.vec3),
+        moment: wp.array(dtype=t.vec3),
+        step_force: wp.array3d(dtype=wp.int64),
+        sphere_lost: wp.array(dtype=wp.float64),
+    ):
+        i = first + wp.tid()
+        s = sphere_scene[i]
+        if flags[s, HALTED] != 0:
+            return
+        wall_force, wall_moment, lost = analytic_walls(
+            i, scenes[s], part, scalar(clock[s, DT_PREVIOUS]), sphere_position[i], sphere_velocity[i],
+            sphere_spin[i], sphere_material[i], parameters, walls, segments, wall_position, wall_normal,
+            wall_velocity, wall_spin, clock[s, FORCE_SCALE], slot_touching, slot_history, step_force,
+        )  # fmt: skip
+        force[i] = force[i] + wall_force
+        moment[i] = moment[i] + wall_moment
+        if wp.static(losses):
+            sphere_lost[i] = sphere_lost[i] + lost
+
+    return wall_contacts
+
+
+@functools.cache
+def mesh_kernel(scalar, law, losses: bool):
+    """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
+    Wall = wall_struct(scalar)
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+    Parameters = law(scalar).Parameters
+    contact_force = law(scalar).force
+    wall_touch = contact_functions(scalar).wall_touch
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+    add_to_wall = wall_force_function(scalar)
     slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
     slots_vector = wp.types.vector(MESH_SLOTS, scalar)
     slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
     merge_cosine = math.cos(math.radians(MERGE_ANGLE))
-
-    @wp.func
-    def add_to_wall(step_force: wp.array2d(dtype=wp.int64), w: wp.int32, f: t.vec3, m: t.vec3, scale: wp.float64):
-        for c in range(3):
-            wp.atomic_add(step_force, w, c, wp.int64(wp.round(wp.float64(f[c]) * scale)))
-            wp.atomic_add(step_force, w, c + 3, wp.int64(wp.round(wp.float64(m[c]) * scale)))
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
@@ -94,13 +250,13 @@ def wall_kernel(scalar, law, meshes: bool, losses: bool):
                 return False
         return True
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def wall_contacts(
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def mesh_contacts(
+        scenes: wp.array(dtype=SceneRow),
+        first: wp.int32,
+        part: wp.int32,
         contact_parameters: wp.array(dtype=Parameters),
-        materials: wp.int32,
         walls: wp.array(dtype=Wall),
-        analytic: wp.int32,
-        segments: wp.array(dtype=Segment),
         wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat),
         wall_velocity: wp.array(dtype=t.vec3),
@@ -113,165 +269,134 @@ def wall_kernel(scalar, law, meshes: bool, losses: bool):
         face_wall: wp.array(dtype=wp.int32),
         candidate_start: wp.array(dtype=wp.int32),
         candidate_face: wp.array(dtype=wp.int32),
+        sphere_scene: wp.array(dtype=wp.int32),
         sphere_position: wp.array(dtype=t.vec4),
         sphere_velocity: wp.array(dtype=t.vec4),
         sphere_spin: wp.array(dtype=t.vec3),
         sphere_material: wp.array(dtype=wp.int32),
-        clock: wp.array(dtype=wp.float64),
-        flags: wp.array(dtype=wp.int32),
+        clock: wp.array2d(dtype=wp.float64),
+        flags: wp.array2d(dtype=wp.int32),
         slot_history: wp.array2d(dtype=t.vec3),
         slot_normal: wp.array2d(dtype=t.vec3),
         slot_overlap: wp.array2d(dtype=scalar),
         slot_wall: wp.array2d(dtype=wp.int32),
         force: wp.array(dtype=t.vec3),
         moment: wp.array(dtype=t.vec3),
-        step_force: wp.array2d(dtype=wp.int64),
+        step_force: wp.array3d(dtype=wp.int64),
         sphere_lost: wp.array(dtype=wp.float64),
     ):
-        i = wp.tid()
-        if flags[STALE] != 0 or flags[FAILED] != 0:
+        i = first + wp.tid()
+        scene = sphere_scene[i]
+        if flags[scene, HALTED] != 0:
             return
-        dt = scalar(clock[DT_PREVIOUS])
-        scale = clock[FORCE_SCALE]
+        begin = scenes[scene].candidates + candidate_start[i + scene]
+        end = scenes[scene].candidates + candidate_start[i + scene + 1]
+        if begin == end:
+            return
+        dt = scalar(clock[scene, DT_PREVIOUS])
+        scale = clock[scene, FORCE_SCALE]
+        wall_base = scenes[scene].walls
+        analytic = scenes[scene].analytic
         position = sphere_position[i]
         x = xyz(position)
         radius = position[3]
         velocity = sphere_velocity[i]
-        row = sphere_material[i] * materials
+        row = scenes[scene].laws + sphere_material[i] * scenes[scene].materials
         total_force = t.vec3()
         total_moment = t.vec3()
         total_lost = wp.float64(0.0)
-        for w in range(analytic):
-            kind = walls[w].kind
-            distance = scalar(0.0)
-            n = t.vec3()  # from the sphere into the wall
-            if kind == PLANE:
-                inward = wp.quat_rotate(wall_orientation[w], walls[w].normal)
-                distance = wp.dot(x - wall_position[w], inward)
-                n = -inward
+        found = wp.int32(0)
+        normals = slots_matrix()
+        gaps = slots_vector()
+        owners = slots_index()
+        for k in range(begin, end):
+            face = candidate_face[k]
+            w = face_wall[face]
+            local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+            point, feature = closest_on_triangle(
+                local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+            )
+            offset = local - point
+            distance = wp.length(offset)
+            if distance < radius:
+                first_face = walls[w].first_face
+                if is_local_minimum(feature, face, first_face, offset, corners, faces, face_across, ring_start, ring):
+                    a = corners[faces[face, 0]]
+                    plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
+                    n = -safe_normalize(offset, -wp.normalize(plain))
+                    n = wp.quat_rotate(wall_orientation[w], n)
+                    gap = distance - radius
+                    # A centre pushed through the surface: the side it touched before is the inside.
+                    side = scalar(0.0)
+                    for s in range(MESH_SLOTS):
+                        if slot_wall[i, analytic + s] == w - wall_base:
+                            c = wp.dot(slot_normal[i, analytic + s], n)
+                            if wp.abs(c) > wp.abs(side):
+                                side = c
+                    if side < scalar(-0.7):
+                        n = -n
+                        gap = -distance - radius
+                    place = wp.int32(-1)
+                    for s in range(found):
+                        if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(merge_cosine)):
+                            place = s
+                    if place < 0:
+                        if found < MESH_SLOTS:
+                            normals[found] = n
+                            gaps[found] = gap
+                            owners[found] = w
+                            found += 1
+                        else:
+                            flags[scene, OVERFLOW] = 1
+                    elif gap < gaps[place]:
+                        normals[place] = n
+                        gaps[place] = gap
+        histories = slots_matrix()
+        for s in range(found):
+            n = normals[s]
+            w = owners[s]
+            # History belongs to the old contact on this wall with the nearest normal.
+            history = t.vec3()
+            best = scalar(wp.static(merge_cosine))
+            for o in range(MESH_SLOTS):
+                if slot_wall[i, analytic + o] == w - wall_base:
+                    c = wp.dot(slot_normal[i, analytic + o], n)
+                    if c > best:
+                        best = c
+                        history = slot_history[i, analytic + o]
+            arm = radius + gaps[s]
+            point = x + arm * n
+            surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
+            relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
+            twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
+            touch = wall_touch(n, gaps[s], relative, twist, radius, velocity[3])
+            f, new_history, lost = contact_force(contact_parameters[row + walls[w].material], touch, history, dt)
+            histories[s] = new_history
+            total_lost += wp.float64(lost)
+            total_force += f
+            total_moment += wp.cross(arm * n, f)
+            add_to_wall(step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
+        for s in range(MESH_SLOTS):
+            if s < found:
+                slot_wall[i, analytic + s] = owners[s] - wall_base
+                slot_normal[i, analytic + s] = normals[s]
+                slot_overlap[i, analytic + s] = -gaps[s]
+                slot_history[i, analytic + s] = histories[s]
             else:
-                offset, tangent = closest_on_axis(segments, walls[w].first, walls[w].last, x - wall_position[w])
-                n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
-                distance = walls[w].radius - wp.length(offset)
-            gap = distance - radius
-            if gap < scalar(0.0):
-                arm = radius + gap
-                point = x + arm * n
-                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
-                relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
-                twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
-                touch = wall_touch(n, gap, relative, twist, radius, velocity[3])
-                f, new_history, lost = contact_force(
-                    contact_parameters[row + walls[w].material], touch, slot_history[i, w], dt
-                )
-                slot_history[i, w] = new_history
-                total_lost += wp.float64(lost)
-                total_force += f
-                total_moment += wp.cross(arm * n, f)
-                add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
-            elif wp.length_sq(slot_history[i, w]) > scalar(0.0):
-                if wp.static(losses):
-                    touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
-                    p = contact_parameters[row + walls[w].material]
-                    total_lost += wp.float64(contact_energy(p, touch, slot_history[i, w]))
-                slot_history[i, w] = t.vec3()
-        if wp.static(meshes):
-            first = candidate_start[i]
-            last = candidate_start[i + 1]
-            found = wp.int32(0)
-            normals = slots_matrix()
-            gaps = slots_vector()
-            owners = slots_index()
-            for k in range(first, last):
-                face = candidate_face[k]
-                w = face_wall[face]
-                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
-                point, feature = closest_on_triangle(
-                    local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-                )
-                offset = local - point
-                distance = wp.length(offset)
-                if distance < radius:
-                    first_face = walls[w].first_face
-                    if is_local_minimum(
-                        feature, face, first_face, offset, corners, faces, face_across, ring_start, ring
-                    ):
-                        a = corners[faces[face, 0]]
-                        plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
-                        n = -safe_normalize(offset, -wp.normalize(plain))
-                        n = wp.quat_rotate(wall_orientation[w], n)
-                        gap = distance - radius
-                        # A centre pushed through the surface: the side it touched before is the inside.
-                        side = scalar(0.0)
-                        for s in range(MESH_SLOTS):
-                            if slot_wall[i, analytic + s] == w:
-                                c = wp.dot(slot_normal[i, analytic + s], n)
-                                if wp.abs(c) > wp.abs(side):
-                                    side = c
-                        if side < scalar(-0.7):
-                            n = -n
-                            gap = -distance - radius
-                        place = wp.int32(-1)
-                        for s in range(found):
-                            if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(merge_cosine)):
-                                place = s
-                        if place < 0:
-                            if found < MESH_SLOTS:
-                                normals[found] = n
-                                gaps[found] = gap
-                                owners[found] = w
-                                found += 1
-                            else:
-                                flags[OVERFLOW] = 1
-                        elif gap < gaps[place]:
-                            normals[place] = n
-                            gaps[place] = gap
-            histories = slots_matrix()
-            for s in range(found):
-                n = normals[s]
-                w = owners[s]
-                # History belongs to the old contact on this wall with the nearest normal.
-                history = t.vec3()
-                best = scalar(wp.static(merge_cosine))
-                for o in range(MESH_SLOTS):
-                    if slot_wall[i, analytic + o] == w:
-                        c = wp.dot(slot_normal[i, analytic + o], n)
-                        if c > best:
-                            best = c
-                            history = slot_history[i, analytic + o]
-                arm = radius + gaps[s]
-                point = x + arm * n
-                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
-                relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
-                twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
-                touch = wall_touch(n, gaps[s], relative, twist, radius, velocity[3])
-                f, new_history, lost = contact_force(contact_parameters[row + walls[w].material], touch, history, dt)
-                histories[s] = new_history
-                total_lost += wp.float64(lost)
-                total_force += f
-                total_moment += wp.cross(arm * n, f)
-                add_to_wall(step_force, w, -f, wp.cross(point - wall_position[w], -f), scale)
-            if last > first:
-                for s in range(MESH_SLOTS):
-                    if s < found:
-                        slot_wall[i, analytic + s] = owners[s]
-                        slot_normal[i, analytic + s] = normals[s]
-                        slot_overlap[i, analytic + s] = -gaps[s]
-                        slot_history[i, analytic + s] = histories[s]
-                    else:
-                        slot_wall[i, analytic + s] = -1
+                slot_wall[i, analytic + s] = -1
         force[i] = force[i] + total_force
         moment[i] = moment[i] + total_moment
         if wp.static(losses):
             sphere_lost[i] = sphere_lost[i] + total_lost
 
-    return wall_contacts
+    return mesh_contacts
 
 
 @functools.cache
 def candidate_kernels(scalar):
     """Count and fill kernels of the faces within reach of each sphere (reach: radius plus mesh skin)."""
     t = types(scalar)
+    SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
     xyz = vector_functions(scalar).xyz
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
@@ -279,24 +404,28 @@ def candidate_kernels(scalar):
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def candidates(
+            scenes: wp.array(dtype=SceneRow),
+            flags: wp.array2d(dtype=wp.int32),
             walls: wp.array(dtype=Wall),
-            first_mesh: wp.int32,
-            wall_count: wp.int32,
             wall_position: wp.array(dtype=t.vec3),
             wall_orientation: wp.array(dtype=t.quat),
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
+            sphere_scene: wp.array(dtype=wp.int32),
             sphere_position: wp.array(dtype=t.vec4),
-            skin: scalar,
             candidate_start: wp.array(dtype=wp.int32),
             count: wp.array(dtype=wp.int32),
             candidate_face: wp.array(dtype=wp.int32),
         ):
             i = wp.tid()
+            s = sphere_scene[i]
+            if flags[s, STALE] == 0:
+                return
             x = xyz(sphere_position[i])
-            reach = sphere_position[i][3] + skin
+            reach = sphere_position[i][3] + scenes[s].mesh_skin
             found = wp.int32(0)
-            for w in range(first_mesh, wall_count):
+            place = scenes[s].candidates + candidate_start[i + s]
+            for w in range(scenes[s].walls + scenes[s].analytic, scenes[s].walls + scenes[s].wall_count):
                 local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
                 centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
                 # The tree is in single precision; the margin covers its rounding.
@@ -311,10 +440,10 @@ def candidate_kernels(scalar):
                     )
                     if wp.length(local - point) <= reach:
                         if wp.static(fill):
-                            candidate_face[candidate_start[i] + found] = face
+                            candidate_face[place + found] = face
                         found += 1
             if not wp.static(fill):
-                count[i] = found
+                count[i + s] = found
 
         return candidates
 

@@ -257,11 +257,11 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
         assert (folder / "checkpoint.npz").is_file()
         with np.load(folder / "checkpoint.npz") as file:
             clock = file["state/clock"]
-        reached.append(float(clock[0]))
+        reached.append(float(clock[0, 0]))
         lines = (folder / "series.csv").read_text().split("\n")
         assert all(line.count(",") == lines[0].count(",") for line in lines[:-1])
         assert len(lines) - 1 >= rows  # what stood at a checkpoint stays
-        rows = round(clock[0] / 0.01)
+        rows = round(clock[0, 0] / 0.01)
         if kill < kills - 1:
             early = kill % 3 == 2
             delay = random.uniform(0.3, 2.5) if early else random.uniform(0.0, 0.15)

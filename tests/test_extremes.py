@@ -49,16 +49,16 @@ def one_sphere(**changes) -> Scene:
 def test_nan_stops_a_run_in_the_step_it_appears(device):
     simulation = Simulation(one_sphere(), device=device)
     simulation.prepare()
-    velocity = simulation.state.body_velocity.numpy().copy()
+    velocity = simulation.state.sphere_velocity.numpy().copy()
     velocity[1, 2] = np.nan
-    simulation.state.body_velocity.assign(velocity)
+    simulation.state.sphere_velocity.assign(velocity)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: speed goes from nan .*usual cures"):
         simulation.stepper.take(1)
     simulation = Simulation(one_sphere(), device=device)
     simulation.prepare()
-    spin = simulation.state.body_spin.numpy().copy()
+    spin = simulation.state.sphere_spin.numpy().copy()
     spin[1, 0] = np.nan
-    simulation.state.body_spin.assign(spin)
+    simulation.state.sphere_spin.assign(spin)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: kinetic_energy is not a finite number"):
         simulation.run()
 
@@ -91,7 +91,7 @@ def test_a_fixed_step_above_the_estimate_needs_a_word(device):
     scene = Scene(name="pair", duration=1e-3, bodies=(pair,), contact=Contact(friction=0))
     simulation = Simulation(scene, device=device)
     simulation.prepare()
-    estimate = simulation.stepper.stable_step(simulation.model, simulation.state)
+    estimate = simulation.stepper.estimate()
     above = TimeStep(fixed=1.1 * estimate)
     with pytest.raises(SceneError, match="above the stable step"):
         Simulation(dataclasses.replace(scene, time_step=above), device=device).run()

@@ -233,7 +233,7 @@ def test_moving_mesh_keeps_its_contacts(start):
     stepper = start(scene)
     stepper.advance(1.0)
     lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
-    assert stepper.state.wall_position.numpy()[0, 2] > 10 * stepper.lists.mesh_skin
+    assert stepper.state.wall_position.numpy()[0, 2] > 10 * stepper.mesh_skin
     assert lift == pytest.approx(RADIUS - MASS * 9.81 / K_WALL, rel=1e-5)
 
 

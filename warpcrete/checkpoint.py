@@ -17,8 +17,8 @@ from .model import Model
 from .provenance import fingerprint, versions
 from .state import BodyTable, State, placed_bodies
 
-FORMAT = 1
-NUMBERS = ("body_count", "sphere_count", "largest_radius", "smallest_radius", "pair_total")
+FORMAT = 2
+NUMBERS = ("body_count", "sphere_count", "largest_radius", "smallest_radius", "total_mass", "pair_total", "chunks")
 TRANSIENT = ("force", "moment")  # zero between two steps
 
 
@@ -107,7 +107,6 @@ def _restored(model: Model, arrays: dict[str, np.ndarray], numbers: dict[str, An
             setattr(state, name, wp.zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device))
         else:
             setattr(state, name, wp.array(data, dtype=array.dtype, ndim=array.ndim, device=model.device))
-    state.pair_capacity = max(state.pair_total, 1)
     return state
 
 

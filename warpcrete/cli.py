@@ -138,12 +138,42 @@ def verify(device: str | None, precision: str, only: str, quick: bool, extremes:
         raise SystemExit(1)
 
 
+STUDY_HELP = """A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
+
+Every option of `warpcrete run SCENE` that is a parameter of the scene takes one value or several; cases are all
+combinations. On a GPU they run side by side as batches, on a CPU in processes, one a core. The folder holds
+study.md, study.csv, study.png and a run folder for each case.
+
+\b
+  --repeat N             run every case with N seeds                                      [default: 1]
+  --one-at-a-time        vary each parameter alone, the others at their first or default value
+  --out FOLDER           new folder                                                       [default: runs/study-NNN]
+  --resume FOLDER        go on with a study: finished cases are not run again
+  --device, --precision  as for run
+  --processes N          at a time on a CPU                                               [default: one a core]
+  --frames, --rerun, --usd, --checkpoint-every   as for run; no recordings unless asked for
+  --quiet                no progress bar
+"""
+
+
+@cli.command("study", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=STUDY_HELP)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def study_command(arguments: tuple[str, ...]) -> None:
+    if not arguments or "--help" in arguments:
+        click.echo(STUDY_HELP.replace("\b\n", ""))
+        raise SystemExit(0 if arguments else 2)
+    from . import study_job
+
+    study_job.run(list(arguments), scene_modules())
+
+
 def _common_options() -> list[click.Parameter]:
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),
         click.Option(["--device"], help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
         click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
                      help="of positions and forces"),
+        click.Option(["--threads"], type=click.IntRange(1, 1024), help="of a CPU run  [default: one a core]"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
         click.Option(["--frames"], type=float, default=25.0, show_default=True,

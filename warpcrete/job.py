@@ -12,7 +12,7 @@ import click
 from .errors import RunFolderError, between, one_of, positive
 
 KEPT = ("frames", "colour", "network", "rerun", "usd", "pipeline_vertical", "pipeline_horizontal", "pipeline_other",
-        "checkpoint_every")  # fmt: skip
+        "checkpoint_every", "threads")  # fmt: skip
 
 
 def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], Any]:
@@ -57,9 +57,10 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
 
 
 def run(name: str, module, parameters: dict[str, Any], *, out, device, precision, live, frames, colour, network, rerun,
-        usd, pipeline_vertical, pipeline_horizontal, pipeline_other, checkpoint_every, quiet,
+        usd, pipeline_vertical, pipeline_horizontal, pipeline_other, checkpoint_every, threads, quiet,
         going_on: bool = False) -> None:  # fmt: skip
     """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there."""
+    from .batch import default_threads
     from .pipeline import pipeline_estimate
     from .progress import ProgressBar
     from .provenance import write_json
@@ -90,7 +91,7 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
             one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
     source = str(pipeline_other.resolve()) if pipeline_other else None
     settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
-                               checkpoint_every)))  # fmt: skip
+                               checkpoint_every, threads or default_threads())))  # fmt: skip
     recorders: list[Recorder] = []
     recorders.append(TableRecorder(folder, settings))
     if rerun or live:
@@ -111,6 +112,7 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
         scene,
         device=device,
         precision=precision,
+        threads=threads,
         recorders=recorders,
         frame_interval=1.0 / frames,
         progress=False if quiet else progress,

@@ -42,6 +42,11 @@ class ContactLaw:
         """Whether a contact must remember its shear; without that its memory is not allotted."""
         return getattr(self, "friction", 1.0) > 0
 
+    @property
+    def has_shear(self) -> bool:
+        """Whether a contact can bear a force in its plane; without that single spheres are not turned."""
+        return self.has_history or getattr(self, "shear_damping_ratio", 1.0) > 0
+
     def row(self) -> dict[str, Any]:
         """Fields of the law's `Parameters`; by default the fields of the same names."""
         return {f.name: getattr(self, f.name) for f in fields(self)}

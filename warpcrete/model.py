@@ -15,7 +15,6 @@ import warp as wp
 from .errors import DeviceError, one_of, refuse
 from .kernels.bond_parallel import bond_functions
 from .kernels.geometry import axis_functions
-from .kernels.types import types
 from .kernels.wall_motion import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED, wall_struct
 from .laws import ContactLaw
 from .scene import PRECISIONS, Bonds, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene
@@ -36,8 +35,12 @@ class Features:
     bonds: bool
     healing: bool
     clumps: bool
+    rotation: bool
+    """Bodies can turn; single spheres without friction or bonds cannot."""
     drives: bool
     walls: bool
+    analytic: bool
+    """Planes or pipes are among the walls."""
     meshes: bool
     growth: bool
     half_list: bool
@@ -71,12 +74,6 @@ class Model:
     segments: wp.array
     drive_axis: wp.array
     drive_force: wp.array
-    corners: wp.array
-    faces: wp.array
-    face_across: wp.array
-    ring_start: wp.array
-    ring: wp.array
-    face_wall: wp.array
     mesh_objects: list = field(default_factory=list)
     """Keeps the wp.Mesh objects alive."""
 
@@ -154,15 +151,18 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
     bond_kinds.extend(scene.group_bonds.values())
 
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
+    clumps = any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=pair_table[0].functions(),
         wall_law=wall_table[0].functions(),
         history=any(c.has_history for c in pair_table),
         bonds=bool(bond_kinds),
         healing=scene.bonds is not None and scene.bonds.healing,
-        clumps=any(t is not None and len(t.radii) > 1 for t in shapes),
+        clumps=clumps,
+        rotation=clumps or bool(bond_kinds) or any(c.has_shear for c in (*pair_table, *wall_table)),
         drives=bool(scene.drives),
         walls=bool(walls),
+        analytic=bool(analytic),
         meshes=bool(meshes),
         growth=growth,
         half_list=not device.is_cuda,
@@ -178,9 +178,8 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
 
     Wall = wall_struct(scalar)
     rows, rest = [], []
-    topology = _MeshTopology()
     mesh_objects = []
-    for number, wall in enumerate(walls):
+    for wall in walls:
         row = Wall()
         row.material = materials.index(wall.material)
         origin = np.zeros(3)
@@ -194,7 +193,6 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
             row.first, row.last = axis_range(wall.axis)
         else:
             row.kind = int(MESH)
-            row.first_face = topology.add(wall.vertices, wall.faces, number)
             surface = wp.Mesh(
                 points=wp.array(wall.vertices.astype(np.float32), dtype=wp.vec3, device=device),
                 indices=wp.array(wall.faces.ravel(), dtype=wp.int32, device=device),
@@ -224,7 +222,6 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
         row.lower, row.upper = max(s["lower"], -1e30), min(s["upper"], 1e30)
         segment_rows.append(row)
 
-    vec3 = types(scalar).vec3
     Bond = bond_functions(scalar).Bond
 
     def array(values, dtype, columns: int | None = None):
@@ -255,12 +252,6 @@ def build_model(scene: Scene, device, precision: str, *, growth: bool = False) -
         segments=struct_array(segment_rows, Segment),
         drive_axis=wp.array(drive_axis, dtype=wp.int32, device=device),
         drive_force=array(drive_force, scalar),
-        corners=array(topology.corners(), vec3),
-        faces=array(topology.faces(), wp.int32, 3),
-        face_across=array(topology.across(), wp.int32, 6),
-        ring_start=array(topology.ring_start(), wp.int32),
-        ring=array(topology.ring(), wp.int32),
-        face_wall=array(topology.owner(), wp.int32),
         mesh_objects=mesh_objects,
     )
 
@@ -328,63 +319,3 @@ def _bond_row(struct, bonds: Bonds):
     row.radius_multiplier = bonds.radius_multiplier
     row.moment_factor = bonds.moment_factor
     return row
-
-
-class _MeshTopology:
-    """Flat corner, face and adjacency arrays over all mesh walls."""
-
-    def __init__(self) -> None:
-        self._corners: list[np.ndarray] = []
-        self._faces: list[np.ndarray] = []
-        self._across: list[np.ndarray] = []
-        self._ring: list[np.ndarray] = []
-        self._owner: list[np.ndarray] = []
-        self._corner_count = 0
-        self._face_count = 0
-
-    def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
-        """Add a mesh; returns the number of its first face."""
-        first_corner, first_face = self._corner_count, self._face_count
-        edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
-        for f, face in enumerate(faces.tolist()):
-            for e in range(3):
-                a, b = face[e], face[(e + 1) % 3]
-                edges.setdefault((min(a, b), max(a, b)), []).append((f, e))
-        across = np.full((len(faces), 6), -1, dtype=np.int32)
-        rings: list[list[int]] = [[] for _ in vertices]
-        lowest = np.full(len(vertices), len(faces))
-        np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
-        for (a, b), members in edges.items():
-            rings[a].append(b)
-            rings[b].append(a)
-            if len(members) == 2:  # an edge of three or more faces keeps them all as borders
-                for (f, e), (g, h) in (members, members[::-1]):
-                    across[f, e] = first_corner + faces[g][(h + 2) % 3]
-                    across[f, e + 3] = first_face + g
-        for v, neighbours in enumerate(rings):
-            self._ring.append(np.array([lowest[v], *(first_corner + n for n in neighbours)], dtype=np.int32))
-        self._corners.append(vertices)
-        self._faces.append(faces + first_corner)
-        self._across.append(across)
-        self._owner.append(np.full(len(faces), wall, dtype=np.int32))
-        self._corner_count += len(vertices)
-        self._face_count += len(faces)
-        return first_face
-
-    def corners(self) -> np.ndarray:
-        return np.concatenate([np.empty((0, 3)), *self._corners])
-
-    def faces(self) -> np.ndarray:
-        return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
-
-    def across(self) -> np.ndarray:
-        return np.concatenate([np.empty((0, 6), np.int32), *self._across]).astype(np.int32)
-
-    def owner(self) -> np.ndarray:
-        return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
-
-    def ring(self) -> np.ndarray:
-        return np.concatenate([np.empty(0, np.int32), *self._ring]).astype(np.int32)
-
-    def ring_start(self) -> np.ndarray:
-        return np.concatenate([[0], np.cumsum([len(r) for r in self._ring])]).astype(np.int32)

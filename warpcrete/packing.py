@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from .axis import Axis
+from .batch import batch_key
 from .clumps import ClumpTemplate, reference
-from .errors import CapacityError, InstabilityError, positive, refuse
+from .errors import CapacityError, InstabilityError, WarpcreteError, positive, refuse
 from .laws import Contact, ContactLaw
-from .model import build_model
+from .memory import check_memory
+from .model import build_model, find_device
 from .probes import contact_sums
-from .scene import MeshWall, PipeWall, PlaneWall, Scene, TimeStep
+from .scene import MeshWall, PipeWall, PlaneWall, Scene
 from .sizes import Gaussian, Sizes
 from .state import BodyTable, State
-from .stepper import Stepper
+from .stepper import Course, Stepper, drive, steppers_of
 
 START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
@@ -218,6 +221,15 @@ def draw(
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Request:
+    """What :func:`pack_many` packs: a fill, the contact law whose stiffness it has, and a seed."""
+
+    fill: Fill
+    contact: ContactLaw
+    seed: int
+
+
 def pack(
     fill: Fill,
     *,
@@ -226,6 +238,7 @@ def pack(
     device=None,
     precision: str = "float32",
     progress: Callable[[float], None] | None = None,
+    threads: int = 1,
 ) -> tuple[BodyTable, PackingReport]:
     """Pack aggregates into their container: sow them small, let them grow, frictionless and damped, and settle.
 
@@ -233,68 +246,136 @@ def pack(
     pilot packing finds the solid fraction that belongs to it; the packing itself then stops growing where the
     pressure is met, which changes all sizes by a factor near 1 that the report names.
     """
-    contact = contact or Contact()
-    random = np.random.default_rng([seed, 1])
-    tell = progress or (lambda share: None)
-    if fill.pressure is None:
-        assert fill.solid_fraction is not None
-        table, report = _grow(fill, fill.container, fill.solid_fraction, None, contact, random, device, precision, tell)
-        return table, report
-    pilot = fill.container.pilot()
-    if pilot is fill.container:
-        pilot = replace(pilot)
-    share = pilot.volume / (pilot.volume + fill.container.volume)
-    _, found = _grow(
-        fill, pilot, CLOSE_FRACTION, fill.pressure, contact, random, device, precision, lambda s: tell(share * s)
-    )
-    return _grow(
-        fill,
-        fill.container,
-        min(found.solid_fraction * 1.02, CLOSE_FRACTION),
-        fill.pressure,
-        contact,
-        random,
-        device,
-        precision,
-        lambda s: tell(share + (1 - share) * s),
-    )
+    request = Request(fill, contact or Contact(), seed)
+    (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
+    if isinstance(packed, BaseException):
+        raise packed
+    return packed
 
 
-def _grow(fill, container, fraction, pressure, contact, random, device, precision, tell):
-    from .model import find_device
-
+def pack_many(
+    requests: Sequence[Request],
+    *,
+    device=None,
+    precision: str = "float32",
+    progress: Callable[[float], None] | None = None,
+    threads: int = 1,
+) -> list[Any]:
+    """Pack many containers side by side; for each (bodies, report) as from :func:`pack`, or the error it raised."""
     device = find_device(device) if device is None or isinstance(device, str) else device
-    table = draw(fill, container, fraction, random)
-    scene = Scene(
-        name="packing",
-        duration=0.0,
-        fill=fill,
-        walls=container.walls("wall"),
-        contact=contact.frictionless(),
-        gravity=(0.0, 0.0, 0.0),
-    )
-    model = build_model(scene, device, precision, growth=True)
-    state = State(model, table)
-    start = min(1.0, (START_FRACTION / fraction) ** (1 / 3))
-    state.scale.fill_(start)
-    _resize(state, table, start)
-    rate = (1.0 - start) / GROWTH_STEPS
-    stepper = Stepper(model, state, TimeStep(), local_damping=0.5, growth_rate=rate, growth_end=1.0)
-    chunk = 50
-    try:
+    tell = progress or (lambda share: None)
+    randoms = [np.random.default_rng([request.seed, 1]) for request in requests]
+    pilots: dict[int, Any] = {}
+    shares = []
+    for number, request in enumerate(requests):
+        fill = request.fill
+        if fill.pressure is not None:
+            pilot = fill.container.pilot()
+            pilot = replace(pilot) if pilot is fill.container else pilot
+            shares.append(pilot.volume / (pilot.volume + fill.container.volume))
+            pilots[number] = (pilot, CLOSE_FRACTION)
+    share = float(np.mean(shares)) if shares else 0.0
+
+    def grow_all(containers: dict[int, Any], told: Callable[[float], None]) -> dict[int, Any]:
+        found: dict[int, Any] = {}
+        growths: dict[int, _Growth] = {}
+        for number, (container, fraction) in containers.items():
+            request = requests[number]
+            try:
+                growths[number] = _Growth(request, container, fraction, randoms[number], device, precision)
+            except WarpcreteError as error:
+                found[number] = error
+        return found | _grow_together(growths, threads, told)
+
+    measured = grow_all(pilots, lambda s: tell(share * s)) if pilots else {}
+    wanted: dict[int, Any] = {}
+    failed: dict[int, Any] = {}
+    for number, request in enumerate(requests):
+        fraction = request.fill.solid_fraction
+        if number in measured:
+            if isinstance(measured[number], BaseException):
+                failed[number] = measured[number]
+                continue
+            fraction = min(measured[number][1].solid_fraction * 1.02, CLOSE_FRACTION)
+        wanted[number] = (request.fill.container, fraction)
+    found = failed | grow_all(wanted, lambda s: tell(share + (1 - share) * s))
+    return [found[number] for number in range(len(requests))]
+
+
+def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
+    """Drive growths of the same features as one batch each; what each returned or raised, by number."""
+    groups: dict[Any, list[int]] = {}
+    for number, growth in growths.items():
+        key = batch_key(growth.model, growth.state) if growth.model.device.is_cuda else number
+        groups.setdefault(key, []).append(number)
+    found: dict[int, Any] = {}
+    done = dict.fromkeys(growths, 0.0)
+
+    def told(number: int, share: float) -> None:
+        done[number] = share
+        tell(sum(done.values()) / len(done))
+
+    for numbers in groups.values():
+        members = [growths[number] for number in numbers]
+        steppers = steppers_of([g.model for g in members], [g.state for g in members], threads=threads)
+        courses = {}
+        for number, growth, stepper in zip(numbers, members, steppers):
+            stepper.change(local_damping=0.5, growth_rate=growth.rate, growth_end=1.0)
+            courses[stepper.index] = (stepper, growth.course(stepper, lambda s, n=number: told(n, s)))
+        results = drive(courses)
+        found |= {number: results[stepper.index] for number, stepper in zip(numbers, steppers)}
+        stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
+        if stop is not None:
+            raise stop
+    return found
+
+
+class _Growth:
+    """One packing under way."""
+
+    def __init__(self, request: Request, container, fraction: float, random, device, precision: str) -> None:
+        fill = request.fill
+        self.fill, self.contact, self.container, self.fraction = fill, request.contact, container, fraction
+        self.table = draw(fill, container, fraction, random)
+        scene = Scene(
+            name="packing",
+            duration=0.0,
+            fill=fill,
+            walls=container.walls("wall"),
+            contact=request.contact.frictionless(),
+            gravity=(0.0, 0.0, 0.0),
+        )
+        self.model = build_model(scene, device, precision, growth=True)
+        check_memory(self.model, self.table)
+        self.state = State(self.model, self.table)
+        start = min(1.0, (START_FRACTION / fraction) ** (1 / 3))
+        self.state.scale.fill_(start)
+        _resize(self.state, self.table, start)
+        self.rate = (1.0 - start) / GROWTH_STEPS
+
+    def course(self, stepper: Stepper, tell: Callable[[float], None]) -> Course:
+        """Grow and come to rest; returns bodies and report."""
+        try:
+            yield from self._grow(stepper, tell)
+        except InstabilityError as error:
+            raise InstabilityError(f"packing to a solid fraction of {self.fraction:.3g} failed: {error}") from error
+        return self._result(stepper)
+
+    def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Course:
+        pressure, contact, chunk = self.fill.pressure, self.contact, 50
         for number in range(GROWTH_STEPS // chunk):
             stepper.choose_dt()
-            stepper.take(chunk)
+            yield from stepper.taking(chunk)
             tell(0.6 * (number + 1) * chunk / GROWTH_STEPS)
             # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
             enough = max(pressure or 0.0, TRANSIENT * contact.stress_scale)
-            if pressure is not None and number % 2 and _pressure(model, state, container.volume) > enough:
+            if pressure is not None and number % 2 and self._pressure() > enough:
                 break
         # Rest, and with a wanted pressure creep towards it from either side.
         steps, good, least, below = RELAX_STEPS, 0, 1e-3, None
         for number in range(steps // chunk):
             if pressure is not None:
-                error = pressure - _pressure(model, state, container.volume)
+                error = pressure - self._pressure()
                 good = good + 1 if abs(error) < 0.03 * pressure else 0
                 if good == 4:
                     break
@@ -307,44 +388,44 @@ def _grow(fill, container, fraction, pressure, contact, random, device, precisio
                     change = max(change, least)  # not jammed: no pressure tells how far to go
                 stepper.change(growth_rate=float(change) / chunk, growth_end=2.0)
             stepper.choose_dt()
-            stepper.take(chunk)
+            yield from stepper.taking(chunk)
             tell(0.6 + 0.4 * (number + 1) * chunk / steps)
-    except InstabilityError as error:
-        raise InstabilityError(f"packing to a solid fraction of {fraction:.3g} failed: {error}") from error
-    stepper.stop_motion()
-    factor = float(state.scale.numpy()[0])
-    sums = contact_sums(model, state, coordination=True)
-    result = state.table()
-    # The grown sizes keep their density, not their mass.
-    result.density = table.density.copy()
-    result.velocity = np.zeros_like(result.velocity)
-    result.spin = np.zeros_like(result.spin)
-    reached = sums.virial / (3 * container.volume)
-    if pressure is not None and container is fill.container:
-        found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
-        if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
-            refuse(
-                "packing pressure",
-                pressure,
-                f"cannot be met, the packing {found}",
-                f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
-                f"({contact.stress_scale:g} Pa)",
-            )
-    report = PackingReport(
-        bodies=len(result),
-        spheres=state.sphere_count,
-        solid_fraction=float(result.volume.sum() / container.volume),
-        coordination_number=sums.coordination_number,
-        mean_overlap=sums.mean_overlap,
-        largest_overlap=sums.largest_overlap,
-        pressure=reached,
-        size_factor=factor,
-    )
-    return result, report
 
+    def _pressure(self) -> float:
+        return contact_sums(self.model, self.state).virial / (3 * self.container.volume)
 
-def _pressure(model, state, volume: float) -> float:
-    return contact_sums(model, state).virial / (3 * volume)
+    def _result(self, stepper: Stepper) -> tuple[BodyTable, PackingReport]:
+        state, pressure = self.state, self.fill.pressure
+        stepper.stop_motion()
+        factor = float(state.scale.numpy()[0])
+        sums = contact_sums(self.model, state, coordination=True)
+        result = state.table()
+        # The grown sizes keep their density, not their mass.
+        result.density = self.table.density.copy()
+        result.velocity = np.zeros_like(result.velocity)
+        result.spin = np.zeros_like(result.spin)
+        reached = sums.virial / (3 * self.container.volume)
+        if pressure is not None and self.container is self.fill.container:
+            found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+            if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
+                refuse(
+                    "packing pressure",
+                    pressure,
+                    f"cannot be met, the packing {found}",
+                    f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                    f"({self.contact.stress_scale:g} Pa)",
+                )
+        report = PackingReport(
+            bodies=len(result),
+            spheres=state.sphere_count,
+            solid_fraction=float(result.volume.sum() / self.container.volume),
+            coordination_number=sums.coordination_number,
+            mean_overlap=sums.mean_overlap,
+            largest_overlap=sums.largest_overlap,
+            pressure=reached,
+            size_factor=factor,
+        )
+        return result, report
 
 
 def _resize(state: State, table: BodyTable, factor: float) -> None:

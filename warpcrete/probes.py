@@ -8,7 +8,6 @@ import numpy as np
 import warp as wp
 
 from .kernels import probes as column
-from .kernels.types import types
 from .model import Model
 from .state import State
 
@@ -34,6 +33,9 @@ class ContactSums:
     hydrated: int
     virial: float
     """Sum over contacts of normal spring force times the vector between the bodies' centroids [J]."""
+    broken_tension: int
+    """Bonds broken by tension since the start."""
+    broken_shear: int
 
 
 @dataclass(frozen=True)
@@ -61,22 +63,21 @@ class BodySums:
 def body_sums(model: Model, state: State) -> BodySums:
     """Energies, momentum and drive forces of all bodies."""
     n = state.body_count
-    mass = float(state.body_mass.numpy().sum(dtype=float))
     if n == 0:
         return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
-    values = wp.zeros((n, int(column.BODY_COLUMNS)), dtype=wp.float64, device=model.device)
+    b, s = state.batch, state.index
+    values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
     wp.launch(
-        column.body_probe(model.scalar),
+        column.body_probe(b.scalar),
         dim=n,
         inputs=[
-            types(model.scalar).vec3(*model.scene.gravity), model.segments, model.drive_axis, model.drive_force,
-            state.body_group, state.body_mass, state.body_inertia, state.body_position, state.body_velocity,
-            state.body_spin, state.body_orientation, state.body_id, state.clock, values,
+            b.scenes, s, b.segments, b.drive_axis, b.drive_force, b.body_group, b.body_mass, b.body_inertia,
+            b.body_position, b.body_velocity, b.body_spin, b.body_orientation, b.body_id, b.clock, values,
         ],
-        device=model.device,
+        device=b.device,
     )  # fmt: skip
-    rows = values.numpy()
-    total = rows.sum(0)
+    total = _summed(state, values, n, column.BODY_MAXIMA)
+    mass = state.total_mass
     return BodySums(
         kinetic_energy=float(total[column.KINETIC]),
         potential_energy=float(total[column.POTENTIAL]),
@@ -85,55 +86,72 @@ def body_sums(model: Model, state: State) -> BodySums:
         centroid=total[column.LIFT : column.LIFT + 3] / mass,
         drive_force=total[column.DRIVEN : column.DRIVEN + 3],
         drive_power=float(total[column.DRIVE_POWER]),
-        reach=float(rows[:, column.REACH].max()),
+        reach=float(total[column.REACH]),
     )
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
     """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
     if state.sphere_count == 0:
-        return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
-    rows, _ = _measure_contacts(model, state)
-    total = rows.sum(0)
+        return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0, 0)
+    values = _measure_contacts(state)[0]
+    total = _summed(state, values, state.sphere_count, column.CONTACT_MAXIMA)
     contacts = int(total[column.CONTACTS])
     return ContactSums(
         contacts=contacts,
         coordination_number=2 * len(touching_bodies(state)) / state.body_count if coordination else float("nan"),
         mean_overlap=float(total[column.OVERLAP_SUM] / contacts) if contacts else 0.0,
-        largest_overlap=float(rows[:, column.OVERLAP_MAX].max()),
-        deepest=float(rows[:, column.DEPTH_MAX].max()),
+        largest_overlap=float(total[column.OVERLAP_MAX]),
+        deepest=float(total[column.DEPTH_MAX]),
         elastic_energy=float(total[column.ELASTIC_ENERGY]),
         bond_energy=float(total[column.BOND_ENERGY]),
         bonded=int(total[column.BONDED]),
         hydrated=int(total[column.BONDED_HYDRATED]),
         virial=float(total[column.VIRIAL]),
+        broken_tension=int(total[column.BROKEN_TENSION]),
+        broken_shear=int(total[column.BROKEN_SHEAR]),
     )
 
 
-def _measure_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
+def _summed(state: State, values: wp.array, rows: int, maxima: tuple[int, ...]) -> np.ndarray:
+    """Sum (or maximum) of every column, added on the device in an order that depends on the number of rows only."""
+    partial, whole = column.column_kernels(maxima)
+    columns = values.shape[1]
+    lanes = state.scratch("lanes", (column.LANES, columns), wp.float64)
+    sums = state.scratch("sums", (columns,), wp.float64)
+    device = state.batch.device
+    wp.launch(partial, dim=(column.LANES, columns), inputs=[values, rows, lanes], device=device)
+    wp.launch(whole, dim=columns, inputs=[lanes, sums], device=device)
+    return sums.numpy().copy()
+
+
+def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
     """Rows of the contact probe in the order of the spheres' permanent numbers, and each listed pair's normal force."""
-    f, n = model.features, state.sphere_count
-    values = wp.zeros((n, int(column.CONTACT_COLUMNS)), dtype=wp.float64, device=model.device)
-    forces = wp.zeros(state.pair_total, dtype=model.scalar, device=model.device)
-    wp.launch(
-        column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
-        dim=n,
-        inputs=[
-            model.pair_parameters, model.wall_parameters, model.bond_parameters, model.material_count,
-            model.wall_table, model.analytic_walls, model.segments, state.wall_position, state.wall_orientation,
-            state.wall_velocity, state.slot_history, state.slot_normal, state.slot_overlap, state.slot_wall,
-            state.body_position, state.sphere_body, state.sphere_id, state.sphere_position, state.sphere_velocity,
-            state.sphere_material, state.pair_start, state.pair_other, state.pair_history, state.pair_bond,
-            state.pair_bond_force, state.pair_bond_moment, state.clock, values, forces,
-        ],
-        device=model.device,
-    )  # fmt: skip
-    return values.numpy(), forces.numpy()
+    b, s = state.batch, state.index
+    f, n = b.features, state.sphere_count
+    values = state.scratch("contact rows", (n, int(column.CONTACT_COLUMNS)), wp.float64)
+    forces = state.scratch("pair forces", (len(state.pair_other),), b.scalar)
+    base = int(b.rows["spheres"][s])
+    for first, last in zip(state.chunks[:-1], state.chunks[1:]):
+        wp.launch(
+            column.contact_probe(b.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
+            dim=last - first,
+            inputs=[
+                b.scenes, s, base + first, base + last, b.pair_parameters, b.wall_parameters, b.bond_parameters,
+                b.wall_table, b.segments, b.wall_position, b.wall_normal, b.wall_velocity, b.slot_history,
+                b.slot_normal, b.slot_overlap, b.slot_wall, b.slot_history.shape[1], b.body_position, b.sphere_body,
+                b.sphere_id, b.sphere_position, b.sphere_velocity, b.sphere_material, b.pair_start, b.pair_other,
+                b.pair_history, b.pair_bond, b.pair_bond_force, b.pair_bond_moment, b.sphere_broken, b.clock, values,
+                forces,
+            ],
+            device=b.device,
+        )  # fmt: skip
+    return values, forces
 
 
 def deepest_sphere(model: Model, state: State) -> int:
     """Permanent number of a body whose overlap is the deepest."""
-    rows, _ = _measure_contacts(model, state)
+    rows = _measure_contacts(state)[0].numpy()
     sphere = int(np.flatnonzero(state.sphere_id.numpy() == int(rows[:, column.DEPTH_MAX].argmax()))[0])
     return int(state.body_id.numpy()[state.sphere_body.numpy()[sphere]])
 
@@ -142,7 +160,7 @@ def largest_forces(model: Model, state: State) -> np.ndarray:
     """Largest normal contact force on each body [N], in the order of the state's arrays."""
     result = np.zeros(state.body_count)
     if state.sphere_count:
-        force = _measure_contacts(model, state)[1]
+        force = _measure_contacts(state)[1].numpy()
         i, j, place = listed_pairs(state)
         body = state.sphere_body.numpy()
         np.maximum.at(result, body[i], force[place])
@@ -155,11 +173,12 @@ def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start = state.pair_start.numpy()
     other = state.pair_other.numpy()[: state.pair_total]
     i = np.repeat(np.arange(state.sphere_count), np.diff(start))
-    place = np.arange(state.pair_total)
-    if not state.model.features.half_list:
-        once = other >= 0
-        i, other, place = i[once], other[once], place[once]
-    return i, np.where(other >= 0, other, -1 - other), place
+    j = np.where(other >= 0, other, -1 - other)
+    once = other >= 0
+    if state.model.features.half_list:
+        # Pairs inside a chunk stand once, at either sphere.
+        once |= np.searchsorted(state.chunks, i, "right") == np.searchsorted(state.chunks, j, "right")
+    return i[once], j[once], np.flatnonzero(once)
 
 
 def touching_bodies(state: State) -> np.ndarray:

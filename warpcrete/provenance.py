@@ -104,13 +104,15 @@ def state_hash(state: State) -> str:
             digest.update(array.numpy()[chosen].tobytes())
     by_sphere = np.argsort(ids)
     for array in (state.slot_history, state.slot_normal, state.slot_overlap, state.slot_wall):
+        if len(array) == 0:
+            continue
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
     for array in (
         state.wall_position_exact, state.wall_velocity_exact, state.wall_orientation, state.wall_spin,
         state.wall_impulse, state.wall_travel, state.wall_work,
     ):  # fmt: skip
         digest.update(array.numpy().tobytes())
-    digest.update(state.clock.numpy()[:3].tobytes())  # time and step sizes
+    digest.update(state.clock.numpy()[0, :3].tobytes())  # time and step sizes
     return digest.hexdigest()
 
 

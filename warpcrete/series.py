@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernels.types import BROKEN_SHEAR, BROKEN_TENSION, DT_PREVIOUS, TIME
+from .kernels.types import DT_PREVIOUS, TIME
 from .model import Model
 from .probes import body_sums, contact_sums
 from .scene import PlaneWall, Scene
@@ -83,7 +83,7 @@ class Sampler:
         """Measure, and append a row."""
         model, state, scene = self.model, self.state, self.model.scene
         bodies, contacts = body_sums(model, state), contact_sums(model, state)
-        flags, clock = state.flags.numpy(), state.clock.numpy()
+        clock = state.clock.numpy()[0]
         now = float(clock[int(TIME)])
         impulse = _joined(state.wall_impulse, state.wall_angular_impulse)
         # Forces have acted up to the middle of the last step.
@@ -117,8 +117,8 @@ class Sampler:
             "contacts": contacts.contacts,
             "bonds": contacts.bonded,
             "hydrated_bonds": contacts.hydrated if scene.hydration else 0,
-            "broken_tension": int(flags[int(BROKEN_TENSION)]),
-            "broken_shear": int(flags[int(BROKEN_SHEAR)]),
+            "broken_tension": contacts.broken_tension,
+            "broken_shear": contacts.broken_shear,
             "mean_overlap": contacts.mean_overlap,
             "largest_overlap": contacts.largest_overlap,
             "deepest_overlap": contacts.deepest,

@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 
 from . import checkpoint
-from .errors import WarpcreteError, between, positive
+from .batch import default_threads
+from .errors import WarpcreteError, between, positive, refuse
 from .kernels.wall_motion import FIXED, PRESCRIBED
+from .memory import check_memory
 from .model import build_model, find_device
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
@@ -28,12 +30,13 @@ from .provenance import provenance, state_hash
 from .scene import Scene
 from .series import STORED, Sampler, energy_balance, momentum_balance, pressure_figures, quantity, unit_of
 from .state import BodyTable, State, placed_bodies
-from .stepper import Stepper
+from .stepper import Course, Stepper, drive_one
 from .watch import Watch
 
 Progress = Callable[[str, float, dict[str, Any]], None]
 """Called with the phase (`packing`, `settling`, `running`), the share done and a few current figures."""
 
+MOST_THREADS = 1024
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 
 
@@ -92,7 +95,8 @@ class Simulation:
     """A scene on a device, with recorders.
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
-    `float32` or `float64`, None for the scene's own; `recorders`; `frame_interval` simulated seconds between two
+    `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
+    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two
     recorded frames;
     `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
     `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
@@ -106,6 +110,7 @@ class Simulation:
         *,
         device: str | None = None,
         precision: str | None = None,
+        threads: int | None = None,
         recorders: Sequence[Recorder] = (),
         frame_interval: float = 0.04,
         progress: Progress | bool = False,
@@ -117,6 +122,9 @@ class Simulation:
         self.scene = scene
         self.device = find_device(device)
         self.precision = precision or scene.precision
+        self.threads = default_threads() if threads is None else threads
+        if not 1 <= self.threads <= MOST_THREADS:
+            refuse("threads", threads, f"must be in [1, {MOST_THREADS}]")
         self.model = build_model(scene, self.device, self.precision)
         self.recorders = list(recorders)
         self.frame_interval = frame_interval
@@ -141,24 +149,47 @@ class Simulation:
 
     def prepare(self) -> None:
         """Pack, place, bond groups, settle, bond: everything up to t = 0."""
-        scene, model = self.scene, self.model
+        scene = self.scene
         started = wall_clock.perf_counter()
         self._tell("packing", 0.0)
-        table = BodyTable.empty()
+        packed = None
         if scene.fill is not None:
-            table, self.packing = pack(
+            packed = pack(
                 scene.fill,
                 contact=scene.contact,
                 seed=scene.seed,
                 device=self.device,
                 precision=self.precision,
                 progress=lambda share: self._tell("packing", share),
+                threads=self.threads,
             )
+        self.place(packed, wall_clock.perf_counter() - started)
+        self.join(Stepper(self.model, self.state, scene.time_step, threads=self.threads))
+        drive_one(self.stepper, self.preparing())
+
+    def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
+        """Make the state from what packing returned, which `took` so long [s], and the bodies that the scene places."""
+        table = BodyTable.empty()
+        if packed is not None:
+            table, self.packing = packed
         self._tell("packing", 1.0)
-        self._spent["packing"] = wall_clock.perf_counter() - started
-        self.state = State(model, table.joined(placed_bodies(scene)))
-        damping = scene.settle.local_damping if scene.settle else scene.local_damping
-        self.stepper = Stepper(model, self.state, scene.time_step, local_damping=damping)
+        self._spent["packing"] = took
+        table = table.joined(placed_bodies(self.scene))
+        check_memory(self.model, table)
+        self.state = State(self.model, table)
+
+    def join(self, stepper: Stepper) -> None:
+        """Take the stepper that will carry the state, alone or in a batch."""
+        self.stepper = stepper
+        if self._resumed is None:
+            damping = self.scene.settle.local_damping if self.scene.settle else self.scene.local_damping
+        else:
+            damping = self.scene.local_damping
+        stepper.change(local_damping=damping)
+
+    def preparing(self) -> Course:
+        """Course: from placed bodies to t = 0."""
+        scene, model = self.scene, self.model
         first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
         for number, (group, bonds) in enumerate(scene.group_bonds.items()):
             self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
@@ -166,7 +197,7 @@ class Simulation:
 
         started = wall_clock.perf_counter()
         if scene.settle and scene.settle.duration > 0:
-            self._settle(scene.settle.duration)
+            yield from self._settling(scene.settle.duration)
             self.stepper.change(local_damping=scene.local_damping)
         self._spent["settling"] = wall_clock.perf_counter() - started
         self.stepper.restart_clock()
@@ -184,14 +215,19 @@ class Simulation:
         The run then holds the same bits as one that was never cut. Raises :class:`RunFolderError` for a file that
         is no whole checkpoint of this simulation.
         """
-        self.state, memory = checkpoint.load(path, self.model, self.precision)
-        self.stepper = Stepper(
-            self.model,
-            self.state,
-            self.scene.time_step,
-            local_damping=self.scene.local_damping,
-            memory=memory["stepper"],
-        )
+        memory = self.restore(path)["stepper"]
+        self.join(Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, memory=memory))
+        self.recall()
+
+    def restore(self, path: Path) -> dict[str, Any]:
+        """Load the state of a checkpoint; returns its memory. `join` and `recall` complete a resumption."""
+        self.state, self._resumed = checkpoint.load(path, self.model, self.precision)
+        return self._resumed
+
+    def recall(self) -> None:
+        """Bring sampler, watch and clocks to where they were at the checkpoint."""
+        assert self._resumed is not None
+        memory = self._resumed
         self._begin()
         self.sampler.recall(memory["sampler"])
         self.watch.least, self.watch.scale = memory["watch"]["least"], memory["watch"]["scale"]
@@ -200,7 +236,6 @@ class Simulation:
         self._ran_before = self._spent["running"]
         if memory["packing"] is not None:
             self.packing = PackingReport(**memory["packing"])
-        self._resumed = memory["recorders"]
 
     def _begin(self) -> None:
         self.stepper.running = True
@@ -209,6 +244,7 @@ class Simulation:
 
     def save(self, path: Path) -> None:
         """Write a checkpoint of the state as it is now, recorders included."""
+        self.stepper.batch.changed()
         checkpoint.save(
             path,
             self.model,
@@ -241,6 +277,10 @@ class Simulation:
             raise WarpcreteError("this simulation has run; make a new Simulation for another run")
         if not hasattr(self, "state"):
             self.prepare()
+        return drive_one(self.stepper, self.running())
+
+    def running(self) -> Course:
+        """Course: from t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
         self._ran = True
         self._started = wall_clock.perf_counter()
         begun: list[Recorder] = []
@@ -249,12 +289,12 @@ class Simulation:
             try:
                 for recorder in self.recorders:
                     begun.append(recorder)
-                    memory = (self._resumed or {}).get(_kind(recorder))
+                    memory = (self._resumed or {}).get("recorders", {}).get(_kind(recorder))
                     if memory is None:
                         recorder.start(self)
                     else:
                         recorder.resume(self, memory)
-                finished = self._loop()
+                finished = yield from self._loop()
             except KeyboardInterrupt:
                 pass
         finally:
@@ -278,7 +318,7 @@ class Simulation:
             raise failures[0]
         return run
 
-    def _loop(self) -> bool:
+    def _loop(self) -> Course:
         scene, stepper = self.scene, self.stepper
         if not self.rows:
             self._sample()
@@ -293,7 +333,7 @@ class Simulation:
                 self._checkpoint()
                 return False
             until = min(number * scene.sample_interval, scene.duration)
-            stepper.advance(until)
+            yield from stepper.advancing(until)
             self._samples = number
             row = self._sample()
             if stepper.time >= self._next_frame - 1e-9 or number == samples:
@@ -328,7 +368,7 @@ class Simulation:
         self.watch(row)
         return row
 
-    def _settle(self, duration: float) -> None:
+    def _settling(self, duration: float) -> Course:
         # Walls that will move stand still: their motion starts with the clock of the run proper.
         walls = self.model.wall_table.numpy().copy()
         still = walls.copy()
@@ -337,7 +377,7 @@ class Simulation:
         self.model.wall_table.assign(still)
         parts = 50
         for part in range(parts):
-            self.stepper.advance(duration * (part + 1) / parts)
+            yield from self.stepper.advancing(duration * (part + 1) / parts)
             self._tell("settling", (part + 1) / parts)
             kinetic = body_sums(self.model, self.state).kinetic_energy
             if part > 2 and kinetic < QUIET * contact_sums(self.model, self.state).elastic_energy:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from .clumps import ClumpTemplate, sphere
 from .errors import refuse
-from .kernels.types import CLOCK, FLAGS, FORCE_SCALE, types
+from .kernels.contacts import ALL_TOUCHED
+from .kernels.types import CLOCK, DT, FLAGS, FORCE_SCALE, STABLE, STEPS, TIME, types
 from .kernels.walls import MESH_SLOTS
 from .model import Model
 from .scene import Scene
@@ -102,10 +104,11 @@ def placed_bodies(scene: Scene) -> BodyTable:
 
 
 class State:
-    """Everything that changes, on the model's device.
+    """Everything that changes in one scene, on the model's device.
 
     Bodies and spheres may be re-sorted in memory; `body_id` and `sphere_id` are their permanent numbers. The
-    spheres of a body stand in a row.
+    spheres of a body stand in a row. In a batch the arrays are slices of those of all scenes. What the scene's
+    features do not need has no rows.
     """
 
     BODY_ARRAYS = (
@@ -114,8 +117,16 @@ class State:
     )  # fmt: skip
     SPHERE_ARRAYS = (
         "sphere_id", "sphere_material", "sphere_offset", "sphere_position", "sphere_velocity", "sphere_spin",
-        "sphere_built", "force", "moment", "sphere_lost",
+        "sphere_built", "force", "moment", "sphere_lost", "sphere_broken", "sphere_touching", "slot_touching",
+        "slot_history", "slot_normal", "slot_overlap", "slot_wall",
     )  # fmt: skip
+    WALL_ARRAYS = (
+        "wall_position_exact", "wall_velocity_exact", "wall_position", "wall_orientation", "wall_normal",
+        "wall_velocity", "wall_spin", "wall_force", "wall_moment", "wall_impulse", "wall_angular_impulse",
+        "wall_travel", "wall_work", "wall_moved",
+    )  # fmt: skip
+    SCENE_ARRAYS = ("reference_velocity", "scale", "clock", "flags")
+    PAIR_ARRAYS = ("pair_other", "pair_history", "pair_bond", "pair_bond_force", "pair_bond_moment")
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -183,27 +194,44 @@ class State:
         self.sphere_built = array(position, t.vec4)
         self.force = zeros(spheres, t.vec3)
         self.moment = zeros(spheres, t.vec3)
-        self.sphere_lost = zeros(spheres if model.features.losses else 1, wp.float64)
+        features = model.features
+        self.sphere_lost = zeros(spheres if features.losses else 0, wp.float64)
+        self.sphere_broken = zeros(spheres if features.bonds else 0, wp.vec2i)
+        self.sphere_touching = array(
+            np.full(spheres if features.history or features.bonds else 0, ALL_TOUCHED), wp.int32
+        )
+        self.chunks = [0, spheres]
+        """First sphere of every chunk of a half list, and the end of the last."""
+        self.total_mass = float(np.sum(table.mass))
+        self.batch: Any = None
+        self.index = 0
+        """The batch that holds the arrays, and the scene's number in it."""
+        self._scratch: dict[str, wp.array] = {}
 
         self.pair_start = zeros(spheres + 1, wp.int32)
-        self.candidate_start = zeros(spheres + 1, wp.int32)
-        self.candidate_face = zeros(1, wp.int32)
         self.pair_total = 0
-        self.reserve_pairs(1)
+        self.pair_other, self.pair_history, self.pair_bond, self.pair_bond_force, self.pair_bond_moment = (
+            zeros(1 if used else 0, dtype) for dtype, used in pair_types(model).values()
+        )
+        self.candidate_start = zeros(spheres + 1 if features.meshes else 0, wp.int32)
+        self.candidate_face = zeros(1 if features.meshes else 0, wp.int32)
 
         walls = len(model.walls)
         slots = model.analytic_walls + (MESH_SLOTS if model.features.meshes else 0)
+        meshed = spheres if features.meshes else 0
+        self.slot_touching = zeros(spheres if walls else 0, wp.int32)
         self.slot_history = zeros((spheres, slots), t.vec3)
-        self.slot_normal = zeros((spheres, slots), t.vec3)
-        self.slot_overlap = zeros((spheres, slots), scalar)
-        self.slot_wall = array(np.full((spheres, slots), -1), wp.int32)
+        self.slot_normal = zeros((meshed, slots), t.vec3)
+        self.slot_overlap = zeros((meshed, slots), scalar)
+        self.slot_wall = array(np.full((meshed, slots), -1), wp.int32) if meshed else zeros((0, slots), wp.int32)
         self.wall_position_exact = wp.clone(model.rest_position)
         self.wall_velocity_exact = zeros(walls, wp.vec3d)
         self.wall_position = array(model.rest_position.numpy().reshape(-1, 3), t.vec3)
         self.wall_orientation = array(np.tile([0.0, 0, 0, 1], (walls, 1)), t.quat)
+        normals = [getattr(wall, "normal", (0.0, 0.0, 0.0)) for wall in model.walls]
+        self.wall_normal = array(np.reshape(normals, (-1, 3)), t.vec3)
         self.wall_velocity = zeros(walls, t.vec3)
         self.wall_spin = zeros(walls, t.vec3)
-        self.wall_step_force = zeros((walls, 6), wp.int64)
         self.wall_force = zeros(walls, wp.vec3d)
         self.wall_moment = zeros(walls, wp.vec3d)
         self.wall_impulse = zeros(walls, wp.vec3d)
@@ -214,26 +242,50 @@ class State:
 
         self.reference_velocity = zeros(1, t.vec3)
         self.scale = array([1.0], scalar)
-        clock = np.zeros(CLOCK)
+        clock = np.zeros((1, CLOCK))
         typical_force = model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
         # 2^62 units hold a hundred thousand such forces; one unit is 5e-14 of one.
-        clock[int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
+        clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self.clock = array(clock, wp.float64)
-        self.flags = zeros(FLAGS, wp.int32)
+        self.flags = zeros((1, FLAGS), wp.int32)
 
-    def reserve_pairs(self, capacity: int) -> None:
-        """Empty pair arrays for `capacity` pairs; without friction or bonds their history takes no memory."""
-        t = types(self.model.scalar)
-        features = self.model.features
-        device = self.model.device
-        history = capacity if features.history else 1
-        bonds = capacity if features.bonds else 1
-        self.pair_capacity = capacity
-        self.pair_other = wp.zeros(capacity, dtype=wp.int32, device=device)
-        self.pair_history = wp.zeros(history, dtype=t.vec3, device=device)
-        self.pair_bond = wp.zeros(bonds, dtype=wp.int32, device=device)
-        self.pair_bond_force = wp.zeros(bonds, dtype=t.vec4, device=device)
-        self.pair_bond_moment = wp.zeros(bonds, dtype=t.vec4, device=device)
+    def scratch(self, name: str, shape: tuple[int, ...], dtype) -> wp.array:
+        """Memory that a probe may write to, the same at every call."""
+        if name not in self._scratch or self._scratch[name].shape != shape:
+            self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
+        return self._scratch[name]
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._row("clock")[int(TIME)]
+
+    @property
+    def steps(self) -> int:
+        """Completed steps."""
+        return self._row("flags")[int(STEPS)]
+
+    @property
+    def dt(self) -> float:
+        """Size of the next step [s]."""
+        return self._row("clock")[int(DT)]
+
+    @property
+    def stable_step(self) -> float:
+        """As last estimated [s]."""
+        return self._row("clock")[int(STABLE)]
+
+    def _row(self, name: str) -> list[Any]:
+        if self.batch is None:
+            return getattr(self, name).numpy()[0].tolist()
+        return getattr(self.batch, f"host_{name}")()[self.index].tolist()
+
+    @property
+    def bytes(self) -> int:
+        """Size of all arrays of the state [B]."""
+        return sum(
+            a.size * wp.types.type_size_in_bytes(a.dtype) for a in vars(self).values() if isinstance(a, wp.array)
+        )
 
     def table(self) -> BodyTable:
         """Bodies as they are now, in order of their permanent numbers."""
@@ -255,6 +307,18 @@ class State:
             group=[self.model.groups[g] for g in group],
             templates=self.templates,
         )
+
+
+def pair_types(model: Model) -> dict[str, tuple[type, bool]]:
+    """Type of every array that has an entry for each listed pair, and whether the scene needs it."""
+    t, features = types(model.scalar), model.features
+    return {
+        "pair_other": (wp.int32, True),
+        "pair_history": (t.vec3, features.history),
+        "pair_bond": (wp.int32, features.bonds),
+        "pair_bond_force": (t.vec4, features.bonds),
+        "pair_bond_moment": (t.vec4, features.bonds),
+    }
 
 
 def rotate(quaternions: np.ndarray, vectors: np.ndarray, inverse: bool = False) -> np.ndarray:

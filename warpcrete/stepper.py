@@ -1,31 +1,36 @@
-"""The step loop: launches stages many at a time, rebuilds lists when asked, adapts the step size."""
+"""Stepping: a scene's own course through a batch, and the loop that carries all of them forward."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from typing import Any
 
 import numpy as np
-import warp as wp
 
-from .dem import StableStep, make_bonds, reassign_bonds, step_stages
+from .batch import Batch
+from .dem import StableStep, foreseen_speed, make_bonds, reassign_bonds
 from .errors import CapacityError, InstabilityError, refuse
-from .kernels.types import DT, DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
+from .kernels.types import DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
 from .kernels.wall_motion import SPEED_LIMIT
 from .model import Model
 from .neighbors import NeighborLists
-from .scene import Bonds, TimeStep
+from .scene import Bonds, MeshWall, TimeStep
 from .state import State
 from .watch import unstable
 
 SKIN = 0.35  # of the mean sphere radius; the cost of a pumping step is flat from 0.3 to 0.75
+MESH_SKIN = 4  # times the skin
+
+Course = Generator[None, None, Any]
+"""What a scene does, as a generator: each `yield` waits until the scene has reached the goal that it set."""
 
 
 class Stepper:
-    """Carries a state forward in time.
+    """One scene of a batch: its step size, goals and bonds. Alone, it is a batch of one.
 
-    A state whose lists no longer cover every possible contact freezes itself on the device: the kernels
-    return at once until the lists are rebuilt. So no contact is missed, however many steps are in flight.
+    Methods that take steps come twice: `advancing` is a course, to be driven with those of other scenes; `advance`
+    drives it to its end.
     """
 
     def __init__(
@@ -39,62 +44,81 @@ class Stepper:
         growth_end: float = 1.0,
         skin: float | None = None,
         sort_every: int = 20,
+        threads: int = 1,
         memory: dict[str, Any] | None = None,
+        among: tuple[NeighborLists, StableStep, int] | None = None,
     ) -> None:
+        """`among` are lists and estimate of a batch, and the scene's number in it; None makes a batch of one."""
         self.model, self.state, self.time_step = model, state, time_step
+        if among is None:
+            batch = Batch([model], [state], threads=threads)
+            among = NeighborLists(batch), StableStep(batch), 0
+        self.lists, self._estimate, self.index = among
+        self.batch = self.lists.batch
         radii = state.sphere_offset.numpy()[:, 3]
         mean = float(radii.mean()) if len(radii) else 1.0
         self.skin = SKIN * mean if skin is None else skin
         if memory is not None:
             self.skin = memory["skin"]
-        self.lists = NeighborLists(model, state, skin=self.skin, mesh_skin=4 * self.skin, sort_every=sort_every)
-        self.stable_step = StableStep(model, state, time_step.interval * time_step.largest)
-        self._settings = dict(local_damping=local_damping, growth_rate=growth_rate, growth_end=growth_end)
-        self._graphs: dict[int, wp.Graph] = {}
+        moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in model.walls)
+        self.mesh_skin = MESH_SKIN * self.skin
+        self.lists.sort_every[self.index] = sort_every
+        self.batch.set(
+            self.index,
+            skin=self.skin,
+            mesh_skin=self.mesh_skin,
+            # What spheres and moving meshes may go between two builds adds up to the skin.
+            sphere_share=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
+            local_damping=local_damping,
+            growth_rate=growth_rate,
+            growth_end=growth_end,
+        )
         self._since_estimate = math.inf
+        self._foreseen = -1.0, 0.0
         self.running = False  # until then an unstable fixed step is bad input, later an instability
-        if memory is None:
+        if memory is not None:
+            self.lists.builds[self.index], self._since_estimate = memory["builds"], memory["since_estimate"]
+        if memory is None or self.batch.rechunked:
             self.rebuild()
-        else:
-            self.lists.builds, self._since_estimate = memory["builds"], memory["since_estimate"]
-            self._record()
 
     def memory(self) -> dict[str, Any]:
         """What a stepper needs, besides the state, to go on as this one would."""
-        return {"skin": self.skin, "builds": self.lists.builds, "since_estimate": self._since_estimate}
+        return {
+            "skin": self.skin,
+            "builds": int(self.lists.builds[self.index]),
+            "since_estimate": self._since_estimate,
+        }
 
     @property
     def time(self) -> float:
         """Simulated time [s]."""
-        return float(self.state.clock.numpy()[int(TIME)])
+        return self.state.time
 
     @property
     def steps(self) -> int:
         """Completed steps."""
-        return int(self.state.flags.numpy()[int(STEPS)])
+        return self.state.steps
 
     @property
     def dt(self) -> float:
         """Size of the next step [s]."""
-        return float(self.state.clock.numpy()[int(DT)])
+        return self.state.dt
 
     def change(self, **settings: float) -> None:
         """Change `local_damping`, `growth_rate` or `growth_end` from the next step on."""
-        self._settings.update(settings)
-        self._record()
+        self.batch.set(self.index, **settings)
 
     def rebuild(self) -> None:
         """Build the lists anew."""
-        if self.lists(self.model, self.state) or not hasattr(self, "stages"):
-            self._record()
+        self._set_flags(STALE, 1)
+        self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
         """Bond pairs within `bonds.gap` (inside a `group` only, if given); returns how many of `kind` there are."""
-        usual = self.lists.skin
-        self.lists.skin = max(usual, 1.001 * bonds.gap)
+        self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
         self.rebuild()
         made = make_bonds(self.model, self.state, bonds, kind, group)
-        self.lists.skin = usual
+        self.batch.set(self.index, skin=self.skin)
         self.rebuild()
         self._since_estimate = math.inf
         return made
@@ -107,13 +131,15 @@ class Stepper:
     def restart_clock(self) -> None:
         """Set time, step count and the walls' records to zero; the next kick is a half one."""
         state = self.state
+        self.batch.changed()
         clock = state.clock.numpy()
-        clock[[int(TIME), int(DT_PREVIOUS)]] = 0.0
+        clock[0, [int(TIME), int(DT_PREVIOUS)]] = 0.0
         state.clock.assign(clock)
         state.flags.zero_()
+        self.batch.changed()
         for array in (
-            state.wall_impulse, state.wall_angular_impulse, state.wall_travel, state.wall_work, state.wall_step_force,
-            state.sphere_lost,
+            state.wall_impulse, state.wall_angular_impulse, state.wall_travel, state.wall_work, state.sphere_lost,
+            state.sphere_broken,
         ):  # fmt: skip
             array.zero_()
         self._since_estimate = math.inf
@@ -128,30 +154,48 @@ class Stepper:
         velocity[:, :3] = 0.0
         state.sphere_velocity.assign(velocity)
 
+    def estimate(self) -> float:
+        """The stable step as things are now, without safety factor [s]; infinite for a state without bodies."""
+        self._set_step()
+        self._estimate(self.index)
+        return self.state.stable_step if self.state.body_count else math.inf
+
+    def _set_step(self) -> None:
+        step = self.time_step
+        horizon = step.interval * step.largest
+        if self._foreseen[0] != horizon:
+            self._foreseen = horizon, foreseen_speed(self.model.scene, horizon)
+        self.batch.set(
+            self.index,
+            safety=step.safety,
+            largest_step=step.largest,
+            fixed_step=step.fixed or 0.0,
+            foreseen_speed=self._foreseen[1],
+        )
+
     def choose_dt(self) -> float:
         """Estimate the stable step and set the size of the next steps [s]."""
-        stable = self.stable_step(self.model, self.state)
         fixed = self.time_step.fixed
-        if fixed is not None:
-            if fixed > stable * max(1.0, self.time_step.safety):
-                what = f"is above the stable step of this scene, {stable:.3g} s"
-                if self.running:
-                    raise InstabilityError(
-                        f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller step, or none "
-                        "given for an automatic one"
-                    )
-                refuse("time_step", fixed, what, "leave it out for an automatic step")
-            dt = fixed
-        else:
-            dt = min(self.time_step.safety * stable, self.time_step.largest)
-        clock = self.state.clock.numpy()
-        clock[int(DT)] = dt
-        self.state.clock.assign(clock)
+        stable = self.estimate()
+        dt = self.dt
+        if not stable > 0:
+            raise InstabilityError(
+                f"t = {self.time:.6g} s: the stable time step came out as {stable:.3g} s; usual cures: masses, "
+                "stiffnesses and dashpots that single precision can hold, or precision float64"
+            )
+        if fixed is not None and fixed > stable * max(1.0, self.time_step.safety):
+            what = f"is above the stable step of this scene, {stable:.3g} s"
+            if self.running:
+                raise InstabilityError(
+                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller step, or none "
+                    "given for an automatic one"
+                )
+            refuse("time_step", fixed, what, "leave it out for an automatic step")
         self._since_estimate = 0
         return dt
 
-    def advance(self, until: float) -> None:
-        """Step until the simulated time reaches `until` [s], to within one step."""
+    def advancing(self, until: float) -> Course:
+        """Course: step until the simulated time reaches `until` [s], to within one step."""
         while True:
             dt = self.dt
             if self._since_estimate >= self.time_step.interval:
@@ -159,31 +203,37 @@ class Stepper:
             left = math.ceil((until - self.time) / dt - 1e-6)
             if left <= 0:
                 return
-            self.take(min(left, self.time_step.interval - int(self._since_estimate)))
+            yield from self.taking(min(left, self.time_step.interval - int(self._since_estimate)))
+
+    def taking(self, count: int) -> Course:
+        """Course: take `count` steps of the present size."""
+        if self._since_estimate == math.inf:
+            self.choose_dt()
+        if count > 0:
+            self.batch.goal(self.index, self.steps + count)
+            yield
+        self._since_estimate += count
+
+    def advance(self, until: float) -> None:
+        """Step until the simulated time reaches `until` [s], to within one step."""
+        drive_one(self, self.advancing(until))
 
     def take(self, count: int) -> None:
         """Take `count` steps of the present size."""
-        goal = self.steps + count
-        if self._since_estimate == math.inf:
-            self.choose_dt()
-        if self.model.device.is_cuda:
-            while (left := goal - self.steps) > 0:
-                self._launch_graph(left)
-                self._attend()
-        else:
-            flags = self.state.flags.numpy()  # a view: reading it costs nothing
-            while flags[int(STEPS)] < goal:
-                for stage in self.stages:
-                    stage()
-                if flags[int(STALE)] or flags[int(FAILED)] or flags[int(OVERFLOW)]:
-                    self._attend()
-        self._since_estimate += count
+        drive_one(self, self.taking(count))
 
-    def _attend(self) -> None:
+    def _set_flags(self, slot: Any, value: int) -> None:
+        self.batch.changed()
         flags = self.state.flags.numpy()
+        flags[0, int(slot)] = value
+        self.state.flags.assign(flags)
+        self.batch.changed()
+
+    def trouble(self, flags: np.ndarray) -> Exception | None:
+        """What a scene's flags complain about."""
         if flags[int(FAILED)] < 0:
             wall = self.model.walls[-1 - int(flags[int(FAILED)])].name
-            raise InstabilityError(
+            return InstabilityError(
                 f"t = {self.time:.6g} s: driven wall {wall!r} is faster than {SPEED_LIMIT:g} m/s; "
                 "usual cures: more mass or damping of the wall, a smaller time step"
             )
@@ -192,34 +242,96 @@ class Stepper:
             body = int(self.state.body_id.numpy()[place])
             speed = float(np.linalg.norm(self.state.body_velocity.numpy()[place]))
             limit = self.model.scene.watch.speed
-            raise unstable(
+            return unstable(
                 self.time,
                 body,
                 f"speed goes from {speed:.3g} m/s past watch.speed = {limit:g} m/s in one step, or is not a number",
             )
         if flags[int(OVERFLOW)]:
-            raise CapacityError(
+            return CapacityError(
                 f"at t = {self.time:.6g} s a sphere touches a mesh wall in more than six directions at once; "
                 "use finer aggregates or a coarser mesh"
             )
-        if flags[int(STALE)]:
-            self.rebuild()
+        return None
 
-    def _record(self) -> None:
-        self.stages = step_stages(
-            self.model, self.state, skin=self.skin, mesh_skin=self.lists.mesh_skin, **self._settings
+
+def steppers_of(
+    models: list[Model],
+    states: list[State],
+    *,
+    time_steps: list[TimeStep] | None = None,
+    memories: list[dict[str, Any] | None] | None = None,
+    threads: int = 1,
+) -> list[Stepper]:
+    """Steppers of scenes that share one batch; :func:`warpcrete.batch.batch_key` tells which may."""
+    batch = Batch(models, states, threads=threads)
+    among = NeighborLists(batch), StableStep(batch)
+    return [
+        Stepper(
+            model,
+            state,
+            time_steps[s] if time_steps else TimeStep(),
+            memory=memories[s] if memories else None,
+            among=(*among, s),
         )
-        self._graphs.clear()
+        for s, (model, state) in enumerate(zip(models, states))
+    ]
 
-    def _launch_graph(self, count: int) -> None:
-        # Powers of two, so that few graphs serve every count.
-        size = 1 << (count.bit_length() - 1)
-        if size not in self._graphs:
-            for stage in self.stages:  # load every kernel before capture; on a frozen state nothing moves
-                wp.load_module(stage.kernel.module, device=self.model.device)
-            with wp.ScopedCapture(device=self.model.device) as capture:
-                for _ in range(size):
-                    for stage in self.stages:
-                        stage()
-            self._graphs[size] = capture.graph
-        wp.capture_launch(self._graphs[size])
+
+def drive(courses: dict[int, tuple[Stepper, Course]]) -> dict[int, Any]:
+    """Drive the courses of scenes of one batch to their ends, by scene number; returns what each returned or raised.
+
+    An interruption (Ctrl-C) is raised inside every course that waits.
+    """
+    results: dict[int, Any] = {}
+    waiting: set[int] = set()
+
+    def go_on(s: int, error: BaseException | None = None) -> None:
+        waiting.discard(s)
+        course = courses[s][1]
+        try:
+            if error is None:
+                next(course)
+            else:
+                course.throw(error)
+        except StopIteration as end:
+            results[s] = end.value
+        except (Exception, KeyboardInterrupt) as failure:
+            results[s] = failure
+        else:
+            waiting.add(s)
+
+    for s in courses:
+        go_on(s)
+    if not waiting:
+        return results
+    lists = next(iter(courses.values()))[0].lists
+    batch = lists.batch
+    while waiting:
+        try:
+            flags = batch.launch()
+            for s in sorted(waiting):
+                if (error := courses[s][0].trouble(flags[s])) is not None:
+                    go_on(s, error)
+            if np.any(flags[:, int(STALE)]):
+                lists()
+        except KeyboardInterrupt as stop:
+            for s in sorted(waiting):
+                go_on(s, stop)
+            continue
+        except CapacityError as full:  # of the lists, which all scenes share
+            for s in sorted(waiting):
+                go_on(s, full)
+            continue
+        for s in sorted(waiting):
+            if flags[s, int(STEPS)] >= batch.goals[s]:
+                go_on(s)
+    return results
+
+
+def drive_one(stepper: Stepper, course: Course) -> Any:
+    """Drive one scene's course; returns what it returns, raises what it raises."""
+    result = drive({stepper.index: (stepper, course)})[stepper.index]
+    if isinstance(result, BaseException):
+        raise result
+    return result

@@ -27,7 +27,7 @@ class Watch:
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
         # Less than what lifts everything by a hundredth of the smallest radius is of no interest.
-        mass = float(state.body_mass.numpy().sum(dtype=float))
+        mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
         self.scale = 0.0  # the energy in play, at its largest so far

@@ -55,7 +55,7 @@ def growth(scene: Scene, table, share: float, device, precision, bonds: Bonds | 
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))
     if bonds is not None:
         stepper.bond(bonds, 1)
-    estimate = stepper.stable_step(model, stepper.state)
+    estimate = stepper.estimate()
     stepper.time_step = TimeStep(fixed=share * estimate, safety=10.0, interval=10**9)
     stepper.choose_dt()
     before = _energy(model, stepper.state)

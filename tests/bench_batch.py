@@ -1,0 +1,134 @@
+"""Batches of paper-sized pumping cases: time of one, of many side by side, and of the paper's whole parametric study.
+
+    python tests/bench_batch.py --device cuda --sizes 1 8 32 128 --steps 2000
+    python tests/bench_batch.py --device cuda --study
+
+Prints the time of a step of 1 to N cases (clumps, bonds, analytic pipe, case A) taken at the start of pumping, and
+with --study the stepping time of the paper's 27 cases and its four units, run to their ends as batches.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from warpcrete import scenes
+from warpcrete.simulation import Run, Simulation
+from warpcrete.together import run_together
+
+# Zhan et al. 2019, section 5.2: each parameter alone, on unit D unless its own is named.
+STUDY = {
+    "diameter": [0.100, 0.125, 0.150, 0.175, 0.200],
+    "elbow_radius": [0.25, 0.5, 0.75, 1.0],
+    "velocity": [0.1, 0.3, 0.5, 0.7, 0.9],
+    "size_max": [20e-3, 30e-3, 40e-3],
+    "shapes": ["shape-1.5", "shape-2.5", "shape-3.5", "shape-4.5"],
+    "hydration": [0.0, 0.05, 0.1, 0.2],
+    "friction": [0.05, 0.3],
+}
+
+
+def cases() -> list[dict]:
+    """Parameters of the whole study: 27 cases and the four units."""
+    base = dict(unit="elbow-down", shapes="reference")
+    found = [base | {name: value} for name, values in STUDY.items() for value in values]
+    return found + [
+        dict(unit=unit, shapes="reference") for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")
+    ]
+
+
+def prepared(count: int, device: str) -> list[Simulation]:
+    """Case A with `count` velocities around 0.3 m/s, packed, bonded and driven to the start of pumping."""
+    simulations = [
+        Simulation(
+            scenes.pipe(shapes="reference", velocity=0.3 + 1e-3 * k, travel=1e-3, ramp=0.0, settle=0.05),
+            device=device,
+            threads=1,
+        )
+        for k in range(count)
+    ]
+    for outcome in run_together(simulations):
+        if not isinstance(outcome, Run):
+            raise outcome
+    return simulations
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[1, 4])
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--study", action="store_true")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    if arguments.study:
+        whole_study(arguments.device)
+        return
+    print("| cases | spheres | time of a step [us] | over one case | sphere-steps/s [million] |")
+    print("|---|---|---|---|---|")
+    first = None
+    for size in arguments.sizes:
+        simulations = prepared(size, arguments.device)
+        from warpcrete.stepper import drive
+
+        took = []
+        for _ in range(arguments.repeats):
+            wp.synchronize()
+            begun = time.perf_counter()
+            drive({s.stepper.index: (s.stepper, _steps(s.stepper, arguments.steps)) for s in simulations})
+            wp.synchronize()
+            took.append((time.perf_counter() - begun) / arguments.steps)
+        step = float(np.median(took))
+        first = first or step
+        spheres = sum(s.state.sphere_count for s in simulations)
+        print(
+            f"| {size} | {spheres} | {1e6 * step:.1f} | {step / first:.2f} | {spheres / step / 1e6:.0f} |", flush=True
+        )
+        del simulations
+    print(f"\n{wp.get_device(arguments.device).name}; {arguments.steps} steps, medians of {arguments.repeats}")
+
+
+def _steps(stepper, count: int):
+    """Course: `count` steps, the step's size estimated every 100."""
+    while count > 0:
+        stepper.choose_dt()
+        yield from stepper.taking(min(count, 100))
+        count -= 100
+
+
+def whole_study(device: str) -> None:
+    """Run all cases to their ends and print what they came to."""
+    simulations = [Simulation(scenes.pipe(**case), device=device, threads=1) for case in cases()]
+    begun = time.perf_counter()
+    outcomes = run_together(simulations)
+    took = time.perf_counter() - begun
+    spent = [s._spent for s in simulations]
+    running = {}
+    for simulation in simulations:
+        if hasattr(simulation, "stepper"):
+            running[id(simulation.stepper.batch)] = max(
+                running.get(id(simulation.stepper.batch), 0.0), simulation._spent.get("running", 0.0)
+            )
+    for case, outcome in zip(cases(), outcomes):
+        if isinstance(outcome, Run):
+            r = outcome.result
+            print(
+                case,
+                f"peak {r['peak_pressure']['value'] / 1e3:.1f} plateau {r['plateau_pressure']['value'] / 1e3:.1f} kPa,"
+                f" {r['steps']} steps, {r['spheres']} spheres",
+            )
+        else:
+            print(case, type(outcome).__name__, str(outcome)[:150])
+    print(
+        f"{len(simulations)} cases, {took:.0f} s in all; packing {sum(s.get('packing', 0) for s in spent):.0f} s; "
+        f"stepping of {len(running)} batches after t = 0: {sum(running.values()):.0f} s "
+        f"({', '.join(f'{v:.0f}' for v in running.values())}) on {wp.get_device(device).name}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Batches: a scene alone and among others holds the same bits; what ends or fails costs and harms no other."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_checkpoint import mixed_scene
+
+from warpcrete import scenes
+from warpcrete.errors import CapacityError, InstabilityError
+from warpcrete.memory import bytes_per_body, check_memory, memory_needed
+from warpcrete.model import build_model, find_device
+from warpcrete.provenance import state_hash
+from warpcrete.scene import Bodies, PlaneWall, Scene, Watch
+from warpcrete.simulation import Run, Simulation
+from warpcrete.state import State, placed_bodies
+from warpcrete.together import run_together
+
+SMALL = dict(
+    length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
+)
+
+
+def simulate(device, some, **settings):
+    return [Simulation(scene, device=device, threads=1, **settings) for scene in some]
+
+
+def alone(device, some, **settings):
+    return [simulation.run() for simulation in simulate(device, some, **settings)]
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision):
+    """Clumps, bonds that heal, a spinning mesh, a driven plate; scenes that end at different times."""
+    some = [dataclasses.replace(mixed_scene(seed), duration=0.02 + 0.01 * seed) for seed in (0, 1, 2, 3)]
+    together = simulate(device, some, precision=precision)
+    batched = run_together(together)
+    assert len({id(s.stepper.batch) for s in together}) == 1
+    for one, other in zip(alone(device, some, precision=precision), batched):
+        assert isinstance(other, Run) and other.finished
+        assert one.result["state_hash"] == other.result["state_hash"]
+        assert one.result["steps"] == other.result["steps"]
+        for name in one.series:
+            assert np.array_equal(one.series[name], other.series[name], equal_nan=True), name
+
+
+def test_pumping_cases_pack_settle_and_run_in_a_batch_as_alone(device):
+    some = [scenes.pipe(velocity=v, seed=s, **SMALL) for v, s in ((0.3, 0), (0.6, 0), (0.6, 1))]
+    batched = run_together(simulate(device, some))
+    for one, other in zip(alone(device, some), batched):
+        assert isinstance(other, Run) and other.finished
+        assert one.result["state_hash"] == other.result["state_hash"]
+        assert one.packing == other.packing
+
+
+def falling(speed: float, **changes) -> Scene:
+    grid = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    return Scene(
+        name="falling",
+        duration=0.05,
+        bodies=(Bodies(positions=0.0125 * grid + [0, 0, 0.01], sizes=0.012, velocities=[[0, 0, -speed]] * len(grid)),),
+        walls=(PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1)),),
+        **changes,
+    )
+
+
+def test_a_scene_that_fails_harms_no_other(device):
+    some = [falling(0.1), falling(3.0, watch=Watch(speed=2.0)), falling(0.2)]
+    batched = run_together(simulate(device, some))
+    assert isinstance(batched[1], InstabilityError) and "watch.speed" in str(batched[1])
+    for k in (0, 2):
+        assert isinstance(batched[k], Run) and batched[k].finished
+        assert batched[k].result["state_hash"] == alone(device, [some[k]])[0].result["state_hash"]
+
+
+def test_a_finished_scene_stands_still_while_others_go_on(device):
+    some = [dataclasses.replace(falling(0.1), duration=0.01), dataclasses.replace(falling(0.2), duration=0.06)]
+    simulations = simulate(device, some)
+    runs = run_together(simulations)
+    assert runs[0].result["steps"] < runs[1].result["steps"]
+    assert state_hash(simulations[0].state) == runs[0].result["state_hash"]
+    assert simulations[0].stepper.steps == runs[0].result["steps"]
+
+
+def test_unlike_scenes_fall_into_batches_of_their_own(device):
+    bonded = scenes.pipe(**SMALL)
+    frictionless = scenes.pipe(friction=0.0, bonds=False, **SMALL)
+    simulations = simulate(device, [bonded, frictionless])
+    runs = run_together(simulations)
+    assert all(isinstance(run, Run) and run.finished for run in runs)
+    assert simulations[0].stepper.batch is not simulations[1].stepper.batch
+
+
+def test_what_a_scene_does_not_need_takes_no_memory(device):
+    for scene, names in (
+        (falling(0.1), ("pair_bond", "pair_bond_force", "sphere_broken", "candidate_face", "slot_normal")),
+        (
+            dataclasses.replace(falling(0.1), contact=dataclasses.replace(falling(0.1).contact, friction=0.0)),
+            ("pair_history", "pair_bond", "sphere_touching"),
+        ),
+    ):
+        state = State(build_model(scene, find_device(device), "float32"), placed_bodies(scene))
+        for name in names:
+            assert getattr(state, name).size == 0, name
+
+
+def test_memory_is_estimated_and_too_many_bodies_are_refused(device, monkeypatch):
+    scene = falling(0.1)
+    model = build_model(scene, find_device(device), "float32")
+    table = placed_bodies(scene)
+    body, sphere = bytes_per_body(model, table)
+    assert 50 < body < 600 and 200 < sphere < 1500
+    assert memory_needed(model, table) == pytest.approx(64 * (body + sphere))
+    double = build_model(scene, find_device(device), "float64")
+    assert 1.4 < memory_needed(double, table) / memory_needed(model, table) < 2.0
+    monkeypatch.setattr("warpcrete.memory.memory_free", lambda device: 20e3)
+    with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ of them would fit"):
+        check_memory(model, table)

@@ -1,0 +1,105 @@
+"""Parameter studies: cases, table, figure, resumption, failures."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from test_batch import SMALL
+from test_pipe import command
+
+from warpcrete import scenes
+from warpcrete.errors import RunFolderError, SceneError
+from warpcrete.scenes import pipe as pipe_module
+from warpcrete.study import cases_of, resume_study, run_study
+
+BASE = SMALL | dict(travel=0.012, ramp=0.008, settle=0.0)
+
+
+def test_cases_are_all_combinations_or_one_parameter_at_a_time():
+    cases = cases_of({"seed": 3}, {"velocity": [0.1, 0.2], "diameter": [0.1, 0.15, 0.2]}, repeat=2)
+    assert len(cases) == 12 and len({c.name for c in cases}) == 12
+    assert {c.parameters["seed"] for c in cases} == {3, 4}
+    cases = cases_of({}, {"velocity": [0.1, 0.2], "diameter": [0.1, 0.15, 0.2]}, one_at_a_time=True)
+    assert len(cases) == 5 and all(len(c.varied) == 1 for c in cases)
+    with pytest.raises(SceneError, match="velocity"):
+        cases_of({}, {"velocity": [0.1, 0.1]})
+    with pytest.raises(SceneError, match="repeat"):
+        cases_of({}, {"velocity": [0.1]}, repeat=0)
+
+
+def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
+    out = tmp_path / "study"
+    study = run_study(
+        "pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE, out=out, repeat=2, device=device, processes=2
+    )
+    assert study.finished and not study.failures and len(study.results) == 4
+    assert {p.name for p in out.iterdir() if p.is_file()} == {"study.json", "study.csv", "study.md", "study.png"}
+    rows = study.rows()
+    assert [row["velocity"] for row in rows] == [0.3, 0.6] and all(row["runs"] == 2 for row in rows)
+    seeds = [study.results[c.name]["plateau_pressure"]["value"] for c in study.cases if c.varied == {"velocity": 0.3}]
+    assert rows[0]["plateau_pressure"] == pytest.approx(np.mean(seeds))
+    assert rows[0]["plateau_pressure_scatter"] == pytest.approx(np.std(seeds, ddof=1))
+    # A case holds the bits of the same scene run alone.
+    from warpcrete.simulation import Simulation
+
+    case = study.cases[2]
+    single = Simulation(scenes.pipe(**case.parameters), device=device, threads=1).run()
+    assert single.result["state_hash"] == study.results[case.name]["state_hash"]
+    # One case was cut before its first checkpoint; the others must not run again.
+    times = {c.name: (out / c.name / "result.json").stat().st_mtime_ns for c in study.cases}
+    (out / case.name / "result.json").unlink()
+    again = resume_study(out, pipe_module, processes=1)
+    assert again.finished and again.results[case.name]["state_hash"] == single.result["state_hash"]
+    for other in study.cases:
+        same = (out / other.name / "result.json").stat().st_mtime_ns == times[other.name]
+        assert same == (other.name != case.name)
+
+
+def test_a_failing_case_is_reported_and_kept(device, tmp_path):
+    out = tmp_path / "study"
+    study = run_study(
+        "pipe", pipe_module, {"overlap_limit": [0.0, 1e-6]}, base=BASE, out=out, device=device, processes=2
+    )
+    assert study.finished and len(study.results) == 1 and len(study.failures) == 1
+    (name,) = study.failures
+    assert "overlap" in study.failures[name] and "overlap_limit=1e-06" in name
+    again = resume_study(out, pipe_module)
+    assert again.failures == study.failures
+
+
+def test_bad_studies_write_nothing(tmp_path):
+    out = tmp_path / "study"
+    with pytest.raises(SceneError, match="velocity"):
+        run_study("pipe", pipe_module, {"velocity": [0.3, -1.0]}, base=BASE, out=out, device="cpu")
+    assert not out.exists()
+    out.mkdir()
+    (out / "study.json").write_text("{}")
+    with pytest.raises(RunFolderError, match="holds no study"):
+        resume_study(out, pipe_module)
+    shutil.rmtree(out)
+
+
+def test_the_study_command(tmp_path):
+    out = tmp_path / "study"
+    options = [w for name, value in BASE.items() for w in (f"--{name.replace('_', '-')}", str(value))]
+    done = command(
+        "study", "pipe", "--velocity", "0.3", "0.6", *options, "--device", "cpu", "--out", str(out), "--quiet"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "| velocity | peak [kPa] | plateau [kPa] | runs | failed |" in done.stdout
+    assert "2 of 2 cases done" in done.stdout
+    record = json.loads((out / "study.json").read_text())
+    assert [c["varied"] for c in record["cases"]] == [{"velocity": 0.3}, {"velocity": 0.6}]
+    again = command("study", "--resume", str(out), "--quiet")
+    assert again.returncode == 0 and "2 of 2 cases done" in again.stdout
+    for words, complaint in (
+        (["pipe", "--speed", "1"], "--speed: is no parameter"),
+        (["pipe", "--velocity", "fast"], "must be a number"),
+        (["tube", "--velocity", "1"], "scene = 'tube'"),
+        (["pipe", "--velocity", "0.3", "--repeat", "0"], "repeat = 0"),
+        (["--resume", str(tmp_path)], "is no study's folder"),
+    ):
+        wrong = command("study", *words, "--quiet")
+        assert wrong.returncode == 2 and complaint in wrong.stderr, (words, wrong.stderr)
+        assert "Traceback" not in wrong.stderr

@@ -1,0 +1,98 @@
+"""Threads on a CPU: every chunk of a step on its own core; the same bits for a number of threads, the same physics."""
+
+import numpy as np
+import pytest
+from conftest import by_id, pair_history
+from test_contacts import flowing_scene, small_packing
+
+from warpcrete import scenes
+from warpcrete.errors import SceneError
+from warpcrete.model import build_model, find_device
+from warpcrete.probes import body_sums, contact_sums
+from warpcrete.scene import TimeStep
+from warpcrete.simulation import Simulation
+from warpcrete.state import State
+from warpcrete.stepper import Stepper
+
+SMALL = dict(
+    length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
+)
+
+
+@pytest.fixture(scope="module")
+def packing():
+    return small_packing("cpu")
+
+
+def flow(packing, threads, steps=400, **settings):
+    fill, table = packing
+    model = build_model(flowing_scene(fill), find_device("cpu"), "float64")
+    stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), threads=threads, **settings)
+    stepper.bond(model.scene.bonds, 1)
+    stepper.take(steps)
+    return stepper
+
+
+@pytest.mark.parametrize("threads", [2, 3, 5])
+def test_any_number_of_threads_moves_the_same(packing, threads):
+    """Bonds break and heal, contacts slip, lists are rebuilt and sorted (so pairs change chunks), all across chunks."""
+    one, many = flow(packing, 1, sort_every=1), flow(packing, threads, sort_every=1)
+    assert many.batch.threads == threads and len(many.state.chunks) == threads + 1
+    assert one.state.sphere_broken.numpy().sum() == many.state.sphere_broken.numpy().sum() > 10
+    # Sums in another order: rounding, grown by 400 steps.
+    assert np.abs(by_id(one.state, "body_position") - by_id(many.state, "body_position")).max() < 1e-9
+    singles, copies = pair_history(one.state), pair_history(many.state)
+    assert len(many.state.pair_other.numpy()[: many.state.pair_total]) > len(copies)  # some stand at both spheres
+    touching = {key for key, value in singles.items() if np.any(np.frombuffer(value[0]))}
+    assert touching == {key for key, value in copies.items() if np.any(np.frombuffer(value[0]))}
+    for quantity in ("contacts", "bonded", "elastic_energy", "bond_energy", "virial"):
+        ours = getattr(contact_sums(many.model, many.state), quantity)
+        assert ours == pytest.approx(getattr(contact_sums(one.model, one.state), quantity), rel=1e-6), quantity
+    assert many.estimate() == pytest.approx(one.estimate(), rel=1e-6)
+
+
+def test_a_number_of_threads_gives_the_same_bits_every_time(packing):
+    runs = [flow(packing, 3) for _ in range(3)]
+    for other in runs[1:]:
+        for name in ("body_position", "body_velocity", "body_spin"):
+            assert np.array_equal(by_id(runs[0].state, name), by_id(other.state, name))
+        assert pair_history(runs[0].state) == pair_history(other.state)
+
+
+def test_momentum_is_kept_across_chunks(packing):
+    fill, table = packing
+    import dataclasses
+
+    scene = dataclasses.replace(flowing_scene(fill), walls=(), gravity=(0.0, 0.0, 0.0))
+    model = build_model(scene, find_device("cpu"), "float64")
+    stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), threads=4)
+    stepper.take(300)
+    sums = body_sums(stepper.model, stepper.state)
+    speed = np.linalg.norm(by_id(stepper.state, "body_velocity"), axis=1)
+    assert speed.max() > 1e-3
+    assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.body_mass.numpy())
+
+
+def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):
+    scene = scenes.pipe(**SMALL)
+    uncut = Simulation(scene, device="cpu", threads=2).run()
+    assert uncut.finished and uncut.result["momentum_balance_error"] < 0.01
+    one = Simulation(scene, device="cpu", threads=2)
+    one.prepare()
+    one.save(tmp_path / "a.npz")
+    other = Simulation(scene, device="cpu", threads=2)
+    other.resume(tmp_path / "a.npz")
+    assert not other.stepper.batch.rechunked
+    assert other.run().result["state_hash"] == uncut.result["state_hash"]
+    alone = Simulation(scene, device="cpu", threads=1)
+    alone.resume(tmp_path / "a.npz")
+    assert alone.stepper.batch.rechunked
+    single = alone.run()
+    plateau = single.result["plateau_pressure"]["value"]
+    assert plateau == pytest.approx(uncut.result["plateau_pressure"]["value"], rel=0.02)
+
+
+def test_senseless_numbers_of_threads_are_refused():
+    for threads in (0, -1, 5000):
+        with pytest.raises(SceneError, match=f"threads = {threads}"):
+            Simulation(scenes.pipe(**SMALL), device="cpu", threads=threads)
