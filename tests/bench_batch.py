@@ -43,7 +43,7 @@ def prepared(count: int, device: str) -> list[Simulation]:
     """Case A with `count` velocities around 0.3 m/s, packed, bonded and driven to the start of pumping."""
     simulations = [
         Simulation(
-            scenes.pipe(shapes="reference", velocity=0.3 + 1e-3 * k, travel=1e-3, ramp=0.0, settle=0.05),
+            scenes.pipe(shapes="reference", velocity=0.3 + 1e-3 * k, travel=1e-3, ramp=0.0, settle=0.3),
             device=device,
             threads=1,
         )

@@ -1,5 +1,6 @@
 """Parameter studies: cases, table, figure, resumption, failures."""
 
+import importlib
 import json
 import shutil
 
@@ -10,9 +11,9 @@ from test_pipe import command
 
 from warpcrete import scenes
 from warpcrete.errors import RunFolderError, SceneError
-from warpcrete.scenes import pipe as pipe_module
 from warpcrete.study import cases_of, resume_study, run_study
 
+pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
 BASE = SMALL | dict(travel=0.012, ramp=0.008, settle=0.0)
 
 

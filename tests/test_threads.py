@@ -1,5 +1,7 @@
 """Threads on a CPU: every chunk of a step on its own core; the same bits for a number of threads, the same physics."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from conftest import by_id, pair_history
@@ -9,7 +11,7 @@ from warpcrete import scenes
 from warpcrete.errors import SceneError
 from warpcrete.model import build_model, find_device
 from warpcrete.probes import body_sums, contact_sums
-from warpcrete.scene import TimeStep
+from warpcrete.scene import Bonds, TimeStep
 from warpcrete.simulation import Simulation
 from warpcrete.state import State
 from warpcrete.stepper import Stepper
@@ -26,7 +28,9 @@ def packing():
 
 def flow(packing, threads, steps=400, **settings):
     fill, table = packing
-    model = build_model(flowing_scene(fill), find_device("cpu"), "float64")
+    weak = Bonds(tensile_strength=20.0, cohesion=10.0, healing=True)
+    scene = dataclasses.replace(flowing_scene(fill), bonds=weak)
+    model = build_model(scene, find_device("cpu"), "float64")
     stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), threads=threads, **settings)
     stepper.bond(model.scene.bonds, 1)
     stepper.take(steps)
@@ -61,15 +65,13 @@ def test_a_number_of_threads_gives_the_same_bits_every_time(packing):
 
 def test_momentum_is_kept_across_chunks(packing):
     fill, table = packing
-    import dataclasses
-
     scene = dataclasses.replace(flowing_scene(fill), walls=(), gravity=(0.0, 0.0, 0.0))
     model = build_model(scene, find_device("cpu"), "float64")
     stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), threads=4)
     stepper.take(300)
     sums = body_sums(stepper.model, stepper.state)
     speed = np.linalg.norm(by_id(stepper.state, "body_velocity"), axis=1)
-    assert speed.max() > 1e-3
+    assert speed.max() > 1e-4
     assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.body_mass.numpy())
 
 

@@ -25,7 +25,7 @@ from .state import State, pair_types
 from .surfaces import Surfaces
 
 LARGEST_GRAPH = 64  # steps of one graph
-BATCH_LAUNCH = 32  # steps in flight before scenes that halted are looked after, where there are several
+BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
 
 
 def default_threads() -> int:
@@ -70,6 +70,7 @@ class Batch:
         self._graphs: dict[int, list[Any]] = {}
         self.version = 0
         """Of the recorded launches: another number means that arrays or chunks have changed."""
+        self._chunks: tuple[int, ...] = ()
         self._since_build = 0
         self._between_builds = LARGEST_GRAPH
         self.goals = np.zeros(self.count, dtype=int)
@@ -215,7 +216,7 @@ class Batch:
             after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
             for s in range(self.count):
                 kept = int(old[s + 1] - old[s])
-                if not grown[s] and kept:
+                if kept:
                     wp.copy(after, before, int(new[s]), int(old[s]), kept)
                 setattr(self.states[s], name, after[int(new[s]) : int(new[s + 1])] if self.count > 1 else after)
             setattr(self, name, after)
@@ -226,6 +227,7 @@ class Batch:
 
     def split(self) -> None:
         """Chunks of bodies and spheres that threads own, from the order of the bodies as it is now."""
+        before = self._chunks
         if self.threads == 1:
             self.body_chunks = np.array([0, self.bodies])
             self.sphere_chunks = np.array([0, self.spheres])
@@ -242,7 +244,9 @@ class Batch:
         else:
             for state in self.states:
                 state.chunks = [0, state.sphere_count]
-        self.void()
+        self._chunks = (*self.body_chunks.tolist(), *self.sphere_chunks.tolist())
+        if self._chunks != before:
+            self.void()
 
     # Launching.
 

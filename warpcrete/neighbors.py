@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -10,10 +13,11 @@ from .errors import CapacityError
 from .kernels.neighbors import invert, iota, neighbor_kernels, order_kernels, permute_kernel
 from .kernels.types import STALE, types
 from .kernels.walls import candidate_kernels
+from .stages import Stage
 from .state import State, pair_types
 
 MOST_PAIRS = 2**31 - 2**20
-DRIFT_LANES = 64
+DRIFT_LANES = 256
 
 
 class NeighborLists:
@@ -28,6 +32,8 @@ class NeighborLists:
         self.sort_every = np.full(batch.count, 20)
         """Builds of a scene from one re-sorting of its bodies to the next; 0: never."""
         self.builds = np.zeros(batch.count, dtype=int)
+        self.mean_radius = np.ones(batch.count)
+        """Of a scene's spheres at full size [m]."""
         f, t, device = batch.features, types(batch.scalar), batch.device
         self._kernels = neighbor_kernels(batch.scalar, f.half_list, f.history, f.bonds)
         self._order = order_kernels(batch.scalar)
@@ -41,127 +47,145 @@ class NeighborLists:
         self._scanned = wp.zeros(n + scenes, dtype=wp.int32, device=device)
         self._total = wp.zeros(scenes, dtype=wp.int32, device=device)
         self._identity = wp.zeros(n, dtype=wp.int32, device=device)
+        self._old_place = wp.zeros(n, dtype=wp.int32, device=device)
+        self._new_place = wp.zeros(n, dtype=wp.int32, device=device)
         self._lanes = wp.zeros((scenes, DRIFT_LANES), dtype=wp.vec3d, device=device)
         self._stretched = wp.zeros(n if f.bonds else 0, dtype=batch.scalar, device=device)
         self._old_start = wp.zeros(n + scenes, dtype=wp.int32, device=device)
         self._used = {name: dtype for name, (dtype, used) in pair_types(batch.models[0]).items() if used}
         self._old: dict[str, wp.array] = {}
+        self._recorded: dict[bool, dict[str, Any]] = {}
+        self._version = -1
         wp.launch(iota, dim=n, inputs=[self._identity], device=device)
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is marked stale."""
-        b, kernels, device = self.batch, self._kernels, self.batch.device
-        n = b.spheres
+        b = self.batch
         b.changed()
-        stale = b.host_flags()[:, int(STALE)] != 0
-        if n == 0:
-            self._freshen()
+        if b.spheres == 0:
+            self._launches(False)["freshen"]()
+            b.changed()
             return
-        old_place = new_place = self._identity
+        stale = b.host_flags()[:, int(STALE)] != 0
         due = stale & (self.sort_every > 0) & (self.builds % np.maximum(self.sort_every, 1) == 0)
-        if due.any() and b.bodies > 1:
-            old_place, new_place = self._sort(due)
+        sort = bool(due.any()) and b.bodies > 1
+        if sort:
+            self._sort(due)
         self.builds[stale] += 1
+        wp.copy(self._old_start, b.pair_start)
         self._keep_old()
-        old = [self._old.get(name, getattr(b, name)) for name in State.PAIR_ARRAYS]
-
-        wp.launch(
-            kernels.centres, dim=n, inputs=[b.flags, b.sphere_scene, b.sphere_position, self._centre, b.sphere_built],
-            device=device,
-        )  # fmt: skip
+        launches = self._launches(sort)
+        launches["centres"]()
         scale = b.scale.numpy() if b.features.growth else 1.0
-        reach = float(np.max(2 * b.rows["largest_radius"] * scale + b.rows["skin"]))
-        self._grid.build(self._centre, radius=reach, groups=b.sphere_scene)
+        # Cells for the many small spheres: the few large ones look through more of them.
+        cell = float(np.max(2 * self.mean_radius * scale + b.rows["skin"]))
+        self._grid.build(self._centre, radius=cell, groups=b.sphere_scene if b.count > 1 else None)
         if b.features.bonds:
             self._stretched.zero_()
-            wp.launch(
-                kernels.stretch, dim=n,
-                inputs=[
-                    b.scenes, b.flags, b.sphere_scene, b.sphere_position, old_place, new_place, self._old_start, old[0],
-                    old[2], self._stretched,
-                ],
-                device=device,
-            )  # fmt: skip
-        self._list_pairs(kernels.count, old_place, new_place, old)
-        wanted = self._starts(b.pair_start, "neighbour list", "pairs")
+            launches["stretch"]()
+        for stage in launches["count"]:
+            stage()
+        wanted = self._starts(launches["starts"], "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
+            self._keep_old()  # the scenes' places in the pair arrays are others now
+            launches = self._launches(sort)
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
-        self._list_pairs(kernels.fill, old_place, new_place, old)
+        for stage in launches["fill"]:
+            stage()
         if b.features.meshes:
-            self._list_faces()
-        wp.launch(
-            kernels.drift, dim=(b.count, DRIFT_LANES), inputs=[b.scenes, b.flags, b.sphere_velocity, self._lanes],
-            device=device,
-        )  # fmt: skip
-        self._freshen()
-        b.built()
-
-    def _freshen(self) -> None:
-        b = self.batch
-        wp.launch(
-            self._kernels.freshen, dim=b.count,
-            inputs=[b.scenes, self._lanes, b.reference_velocity, b.wall_moved, b.clock, b.flags],
-            device=b.device,
-        )  # fmt: skip
+            launches["count faces"]()
+            wanted = self._starts(launches["face starts"], "mesh candidates", "faces")
+            if np.any(wanted > b.face_capacity):
+                b.reserve_faces(wanted)
+                launches = self._launches(sort)
+            launches["fill faces"]()
+        launches["drift"]()
+        launches["freshen"]()
         b.changed()
+        b.built()
 
     def _keep_old(self) -> None:
         """Copy of the list that the new one takes history from."""
         b = self.batch
-        wp.copy(self._old_start, b.pair_start)
         for name, dtype in self._used.items():
             if name == "pair_other" and not (b.features.history or b.features.bonds):
                 continue
             array = getattr(b, name)
             if name not in self._old or len(self._old[name]) != len(array):
                 self._old[name] = wp.empty(len(array), dtype=dtype, device=b.device)
+                self._recorded.clear()
             wp.copy(self._old[name], array, count=b.states[0].pair_total if b.count == 1 else len(array))
 
-    def _list_pairs(self, kernel, old_place: wp.array, new_place: wp.array, old: list[wp.array]) -> None:
-        b = self.batch
-        for part in range(b.threads):
-            first, last = int(b.sphere_chunks[part]), int(b.sphere_chunks[part + 1])
-            wp.launch(
-                kernel, dim=last - first,
-                inputs=[
-                    b.scenes, b.flags, self._grid.id, first, last, b.threads, b.sphere_scene, b.sphere_position,
+    def _launches(self, sorted_now: bool) -> dict[str, Any]:
+        """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now."""
+        b, n, kernels = self.batch, self.batch.spheres, self._kernels
+        if self._version != b.version:
+            self._recorded.clear()
+            self._version = b.version
+        if sorted_now in self._recorded:
+            return self._recorded[sorted_now]
+        old_place = self._old_place if sorted_now else self._identity
+        new_place = self._new_place if sorted_now else self._identity
+        old = [self._old.get(name, getattr(b, name)) for name in State.PAIR_ARRAYS]
+
+        def stage(kernel, dim: Any, *arguments: Any) -> Stage:
+            return Stage(kernel, dim, [b.scenes, b.flags, *arguments], b.device)
+
+        def listing(kernel) -> list[Stage]:
+            return [
+                stage(
+                    kernel, last - first, self._grid.id, first, last, b.threads, b.sphere_scene, b.sphere_position,
                     b.sphere_body, b.sphere_id, b.scale, self._stretched, old_place, new_place, self._old_start, *old,
                     b.pair_start, self._count, b.sphere_touching, b.pair_other, b.pair_history, b.pair_bond,
                     b.pair_bond_force, b.pair_bond_moment,
-                ],
-                device=b.device,
-            )  # fmt: skip
+                )
+                for first, last in pairwise(b.sphere_chunks.tolist())
+            ]  # fmt: skip
 
-    def _starts(self, start: wp.array, what: str, entries: str) -> np.ndarray:
+        def starts(start: wp.array) -> Stage:
+            return stage(kernels.starts, n + b.count, b.slot_scene, self._scanned, start, self._total)
+
+        found: dict[str, Any] = {
+            "centres": Stage(
+                kernels.centres, n, [b.flags, b.sphere_scene, b.sphere_position, self._centre, b.sphere_built], b.device
+            ),
+            "stretch": stage(
+                kernels.stretch, n, b.sphere_scene, b.sphere_position, old_place, new_place, self._old_start, old[0],
+                old[2], self._stretched,
+            ),
+            "count": listing(kernels.count),
+            "starts": starts(b.pair_start),
+            "fill": listing(kernels.fill),
+            "drift": stage(kernels.drift, (b.count, DRIFT_LANES), b.sphere_velocity, self._lanes),
+            "freshen": Stage(
+                kernels.freshen, b.count,
+                [b.scenes, self._lanes, b.reference_velocity, b.wall_moved, b.clock, b.flags], b.device,
+            ),
+        }  # fmt: skip
+        if b.features.meshes:
+            arguments = [
+                b.wall_table, b.wall_position, b.wall_orientation, b.corners, b.faces, b.sphere_scene,
+                b.sphere_position, b.candidate_start, self._count, b.candidate_face,
+            ]  # fmt: skip
+            found["count faces"] = stage(self._count_faces, n, *arguments)
+            found["face starts"] = starts(b.candidate_start)
+            found["fill faces"] = stage(self._fill_faces, n, *arguments)
+        self._recorded[sorted_now] = found
+        return found
+
+    def _starts(self, place: Stage, what: str, entries: str) -> np.ndarray:
         """Scan the counts into row starts; returns how many entries each scene now has."""
-        b = self.batch
         wp.utils.array_scan(self._count, self._scanned, inclusive=False)
-        wp.launch(
-            self._kernels.starts, dim=b.spheres + b.count,
-            inputs=[b.scenes, b.flags, b.slot_scene, self._scanned, start, self._total],
-            device=b.device,
-        )  # fmt: skip
+        place()
         wanted = self._total.numpy().astype(np.int64)
         if np.any(wanted < 0) or wanted.sum() > MOST_PAIRS:
-            raise CapacityError(f"{what} of {b.spheres} spheres has more than 2^31 {entries}")
+            raise CapacityError(f"{what} of {self.batch.spheres} spheres has more than 2^31 {entries}")
         return wanted
 
-    def _list_faces(self) -> None:
-        b = self.batch
-        arguments = [
-            b.scenes, b.flags, b.wall_table, b.wall_position, b.wall_orientation, b.corners, b.faces, b.sphere_scene,
-            b.sphere_position, b.candidate_start, self._count,
-        ]  # fmt: skip
-        wp.launch(self._count_faces, dim=b.spheres, inputs=[*arguments, b.candidate_face], device=b.device)
-        wanted = self._starts(b.candidate_start, "mesh candidates", "faces")
-        if np.any(wanted > b.face_capacity):
-            b.reserve_faces(wanted)
-        wp.launch(self._fill_faces, dim=b.spheres, inputs=[*arguments, b.candidate_face], device=b.device)
-
-    def _sort(self, due: np.ndarray) -> tuple[wp.array, wp.array]:
-        """Re-order bodies along a space-filling curve; returns old place of each new sphere and the reverse."""
+    def _sort(self, due: np.ndarray) -> None:
+        """Re-order bodies along a space-filling curve; notes the old place of each new sphere and the reverse."""
         b, device, kernels = self.batch, self.batch.device, self._order
         bodies, spheres = b.bodies, b.spheres
         keys = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
@@ -176,8 +200,7 @@ class NeighborLists:
         start = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
         wp.launch(kernels.counts, dim=bodies, inputs=[b.body_scene, order, b.body_first, count], device=device)
         wp.utils.array_scan(count, start, inclusive=False)
-        old_place = wp.zeros(spheres, dtype=wp.int32, device=device)
-        new_place = wp.zeros(spheres, dtype=wp.int32, device=device)
+        old_place, new_place = self._old_place, self._new_place
         old_first = wp.clone(b.body_first)
         wp.launch(
             kernels.spheres, dim=bodies,
@@ -190,7 +213,6 @@ class NeighborLists:
                 if name not in ("force", "moment") and getattr(b, name).size:
                     _permute(getattr(b, name), places)
         b.split()
-        return old_place, new_place
 
 
 def _permute(array: wp.array, order: wp.array) -> None:

@@ -24,7 +24,7 @@ def block_size(threads: int) -> int:
 class Stage:
     """One kernel launch, recorded once and replayed until an array of its changes."""
 
-    def __init__(self, kernel, dim: int, arguments: list, device) -> None:
+    def __init__(self, kernel, dim: int | tuple[int, ...], arguments: list, device) -> None:
         self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
         self._command: Any = None
 
@@ -34,7 +34,7 @@ class Stage:
         if self._command is None:
             self._command = wp.launch(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
-                block_dim=block_size(self.dim) if self.device.is_cuda else None,
+                block_dim=block_size(self.dim if isinstance(self.dim, int) else 0) if self.device.is_cuda else None,
             )  # fmt: skip
         self._command.launch()
 

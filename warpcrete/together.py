@@ -118,8 +118,8 @@ def _packed(simulations: Sequence[Simulation], tell: Callable[[float], None]) ->
 def _fitting(simulations: Sequence[Simulation], numbers: list[int]) -> list[list[int]]:
     """Split into batches that fit the device's memory, together with what is there already."""
     device = simulations[numbers[0]].model.device
-    if not device.is_cuda:
-        return [[number] for number in numbers]  # a CPU gains nothing from sharing launches
+    if not device.is_cuda and simulations[numbers[0]].threads > 1:
+        return [[number] for number in numbers]  # one after the other, each with all threads
     room = SHARE * memory_free(device)
     parts: list[list[int]] = [[]]
     used = 0.0
