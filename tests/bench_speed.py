@@ -1,0 +1,190 @@
+"""Speed against size: spheres, clumps, bonded spheres and mesh walls; threads; memory; cost of each feature.
+
+    python tests/bench_speed.py --device cpu --sizes 1000 10000 100000
+    python tests/bench_speed.py --device cuda --sizes 1000 10000 100000 1000000 4000000
+    python tests/bench_speed.py --device cpu --features
+
+Frictional spheres of +-10 % in size, close-packed in a box, gravity tilted by 45 degrees, automatic time step.
+Prints tables: median of the repeats in million sphere-steps a second, rebuilds of the lists included.
+"""
+
+import argparse
+import dataclasses
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from bench_peers import GRAVITY, box_of_spheres, scene_of
+
+from warpcrete import clumps
+from warpcrete.batch import default_threads
+from warpcrete.memory import bytes_per_body, memory_free
+from warpcrete.model import build_model, find_device
+from warpcrete.probes import contact_sums
+from warpcrete.scene import Bonds, MeshWall, Scene
+from warpcrete.state import State, placed_bodies
+from warpcrete.stepper import Stepper
+
+BONDS = Bonds(effective_modulus=1e6, tensile_strength=1e9, cohesion=1e9, gap=1e-4)
+
+
+def boxed_mesh(lower: np.ndarray, upper: np.ndarray) -> MeshWall:
+    """The box as twelve triangles, seen from inside."""
+    import trimesh
+
+    box = trimesh.creation.box(bounds=[lower, upper])
+    return MeshWall(name="box", vertices=np.asarray(box.vertices), faces=np.asarray(box.faces)[:, ::-1])
+
+
+def make(kind: str, count: int) -> Scene:
+    """A scene of `count` bodies."""
+    positions, sizes, lower, upper = box_of_spheres(count)
+    scene = scene_of(positions, sizes, lower, upper, GRAVITY["flow"], None)
+    if kind == "clumps":
+        body = dataclasses.replace(scene.bodies[0], template=clumps.reference()[3])
+        scene = dataclasses.replace(scene, bodies=(body,))
+    if kind == "bonded":
+        scene = dataclasses.replace(scene, bonds=BONDS)
+    if kind == "mesh walls":
+        scene = dataclasses.replace(scene, walls=(boxed_mesh(lower, upper),))
+    return scene
+
+
+def ready(scene: Scene, device: str, precision: str, threads: int) -> Stepper:
+    """A stepper after some steps."""
+    model = build_model(scene, find_device(device), precision)
+    stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step, threads=threads)
+    if scene.bonds is not None:
+        stepper.bond(scene.bonds, 1)
+    stepper.take(200)
+    return stepper
+
+
+def rate(stepper: Stepper, steps: int, repeats: int) -> float:
+    """Median of sphere-steps per second."""
+    found = []
+    for _ in range(repeats):
+        wp.synchronize()
+        begun = time.perf_counter()
+        stepper.take(steps)
+        wp.synchronize()
+        found.append(stepper.state.sphere_count * steps / (time.perf_counter() - begun))
+    return float(np.median(found))
+
+
+def sizes_table(arguments) -> None:
+    """Kinds against sizes."""
+    cuda = arguments.device.startswith("cuda")
+    threads = [1] if cuda else [1, default_threads()]
+    print("| bodies | spheres | kind | precision | threads | million sphere-steps/s | contacts a sphere | bytes |")
+    print("|---|---|---|---|---|---|---|---|")
+    for count in arguments.sizes:
+        for kind in arguments.kinds:
+            for precision in arguments.precisions:
+                for number in threads:
+                    scene = make(kind, count)
+                    stepper = ready(scene, arguments.device, precision, number)
+                    spheres = stepper.state.sphere_count
+                    steps = int(np.clip((1e9 if cuda else 4e6) / spheres, 40, 3000))
+                    speed = rate(stepper, steps, arguments.repeats)
+                    touching = contact_sums(stepper.model, stepper.state).contacts / spheres
+                    body, sphere = bytes_per_body(stepper.model, placed_bodies(scene))
+                    print(
+                        f"| {count} | {spheres} | {kind} | {precision} | {'-' if cuda else number} | {speed / 1e6:.2f} | "
+                        f"{touching:.2f} | {sphere + body * count / spheres:.0f} |",
+                        flush=True,
+                    )
+                    del stepper
+    device = find_device(arguments.device)
+    body, sphere = bytes_per_body(build_model(make("spheres", 8), device, "float32"), placed_bodies(make("spheres", 8)))
+    print(
+        f"\n{device.name}; {arguments.repeats} repeats; {memory_free(device) / 2**30:.0f} GiB free hold about "
+        f"{0.9 * memory_free(device) / (body + sphere):.2g} spheres in float32"
+    )
+
+
+def features_table(arguments) -> None:
+    """Cost of a step with features switched on one by one."""
+    count = arguments.sizes[0]
+    positions, sizes, lower, upper = box_of_spheres(count)
+    plain = scene_of(positions, sizes, lower, upper, GRAVITY["flow"], None)
+    smooth = dataclasses.replace(plain.contact, friction=0.0)
+    base = dataclasses.replace(plain, contact=smooth)
+    body = dataclasses.replace(plain.bodies[0], template=clumps.reference()[0])
+    cases = {
+        "spheres, no friction (no rotation, no history)": base,
+        "+ friction, rotation, history": plain,
+        "+ bonds": dataclasses.replace(plain, bonds=BONDS),
+        "+ energy balance (without bonds)": dataclasses.replace(plain, energy_balance=True),
+        "+ mesh walls instead of planes": dataclasses.replace(plain, walls=(boxed_mesh(lower, upper),)),
+        "clumps with friction": dataclasses.replace(plain, bodies=(body,)),
+    }
+    print("| scene | ns a sphere-step | over the first |\n|---|---|---|")
+    steppers = {name: ready(scene, arguments.device, "float32", 1) for name, scene in cases.items()}
+    steps = max(40, int(1e6 / count)) if arguments.device == "cpu" else 1000
+    found: dict[str, list[float]] = {name: [] for name in cases}
+    for _ in range(arguments.repeats):
+        for name, stepper in steppers.items():
+            found[name].append(1e9 / rate(stepper, steps, 1))
+    first = None
+    for name, values in found.items():
+        value = float(np.median(values))
+        first = first or value
+        print(f"| {name} | {value:.1f} | {value / first:.2f} |", flush=True)
+    device = find_device(arguments.device)
+    print(f"\n{device.name}, {count} bodies, one thread, float32; medians of {arguments.repeats}, interleaved")
+
+
+def recording_cost(arguments) -> None:
+    """A pumping run without and with recorders, at 50 frames a simulated second."""
+    from warpcrete import scenes
+    from warpcrete.record_rerun import RerunRecorder
+    from warpcrete.record_usd import UsdRecorder
+    from warpcrete.simulation import Simulation
+
+    print("| recorders | time of pumping [s] | over none |\n|---|---|---|")
+    first = None
+    scene = scenes.pipe(travel=0.15, settle=0.2, sample_interval=0.02)
+    Simulation(scene, device=arguments.device).run()
+    for label in ("none", "Rerun", "USD", "both"):
+        took = []
+        for _ in range(arguments.repeats):
+            with tempfile.TemporaryDirectory() as folder:
+                recorders = []
+                if label in ("Rerun", "both"):
+                    recorders.append(RerunRecorder(Path(folder) / "run.rrd"))
+                if label in ("USD", "both"):
+                    recorders.append(UsdRecorder(Path(folder) / "scene.usdc"))
+                run = Simulation(scene, device=arguments.device, recorders=recorders, frame_interval=0.02).run()
+                took.append(run.result["speed"]["wall_time"]["value"])
+        value = float(np.median(took))
+        first = first or value
+        print(f"| {label} | {value:.2f} | {value / first:.3f} |", flush=True)
+    print(
+        f"\n{find_device(arguments.device).name}, default pipe scene, 0.15 m of travel; medians of {arguments.repeats}"
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[10_000])
+    parser.add_argument("--kinds", nargs="*", default=["spheres", "clumps", "bonded", "mesh walls"])
+    parser.add_argument("--precisions", nargs="*", default=["float32"])
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--features", action="store_true")
+    parser.add_argument("--recording", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.features:
+        features_table(arguments)
+    elif arguments.recording:
+        recording_cost(arguments)
+    else:
+        sizes_table(arguments)
+
+
+if __name__ == "__main__":
+    main()
