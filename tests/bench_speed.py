@@ -92,8 +92,8 @@ def sizes_table(arguments) -> None:
                     touching = contact_sums(stepper.model, stepper.state).contacts / spheres
                     body, sphere = bytes_per_body(stepper.model, placed_bodies(scene))
                     print(
-                        f"| {count} | {spheres} | {kind} | {precision} | {'-' if cuda else number} | {speed / 1e6:.2f} | "
-                        f"{touching:.2f} | {sphere + body * count / spheres:.0f} |",
+                        f"| {count} | {spheres} | {kind} | {precision} | {'-' if cuda else number} | "
+                        f"{speed / 1e6:.2f} | {touching:.2f} | {sphere + body * count / spheres:.0f} |",
                         flush=True,
                     )
                     del stepper

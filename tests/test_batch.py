@@ -12,7 +12,7 @@ from warpcrete.memory import bytes_per_body, check_memory, memory_needed
 from warpcrete.model import build_model, find_device
 from warpcrete.provenance import state_hash
 from warpcrete.scene import Bodies, PlaneWall, Scene, Watch
-from warpcrete.simulation import Run, Simulation
+from warpcrete.simulation import Recorder, Run, Simulation
 from warpcrete.state import State, placed_bodies
 from warpcrete.together import run_together
 
@@ -116,3 +116,35 @@ def test_memory_is_estimated_and_too_many_bodies_are_refused(device, monkeypatch
     monkeypatch.setattr("warpcrete.memory.memory_free", lambda device: 20e3)
     with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ of them would fit"):
         check_memory(model, table)
+
+
+class Interrupted(Recorder):
+    """Raises what Ctrl-C raises, after some rows."""
+
+    def sample(self, simulation, row):
+        if len(simulation.rows) == 3:
+            raise KeyboardInterrupt
+
+
+def test_an_interruption_of_one_scene_ends_all(device):
+    simulations = simulate(device, [falling(0.1), falling(0.2), falling(0.3)])
+    simulations[1].recorders.append(Interrupted())
+    runs = run_together(simulations)
+    assert all(isinstance(run, Run) and not run.finished for run in runs)
+    assert all(0 < len(run.series["time"]) <= 4 for run in runs)
+
+
+def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path):
+    """Pairs that stood at both spheres of two chunks must not count twice where there is one chunk."""
+    paths = []
+    for seed in (0, 1):
+        simulation = Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu", threads=2)
+        simulation.prepare()
+        paths.append(tmp_path / f"{seed}.npz")
+        simulation.save(paths[-1])
+    some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]
+    together = run_together(simulate("cpu", some), checkpoints=paths)
+    for path, scene, other in zip(paths, some, together):
+        one = Simulation(scene, device="cpu", threads=1)
+        one.resume(path)
+        assert one.run().result["state_hash"] == other.result["state_hash"]

@@ -58,7 +58,7 @@ def test_triangulated_plane_is_a_plane(start, depth):
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, precision):
+def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, device, precision):
     vertices, faces = grid_plane()
     flat = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
     paths = []
@@ -83,7 +83,10 @@ def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, precis
         paths.append([by_id(stepper.state, f"body_{n}")[0].astype(float) for n in ("position", "velocity", "spin")])
     for flat_value, mesh_value in zip(*paths):
         error = np.abs(mesh_value - flat_value).max() / np.abs(flat_value).max()
-        assert error < (2e-6 if precision == "float32" else 1e-12)  # measured 9e-7 and 0
+        # Measured 9e-7 and 0. On a GPU the plane, not the mesh, is handled with approximate division and root, off by
+        # two units in the last place at each of 1,600 steps.
+        single = 1e-5 if device.startswith("cuda") else 2e-6
+        assert error < (single if precision == "float32" else 1e-12)
 
 
 def test_convex_edge_and_corner_give_one_force_towards_the_centre(start):
@@ -230,7 +233,7 @@ def test_moving_mesh_keeps_its_contacts(start):
         time_step=TimeStep(fixed=1e-4),
         bodies=(Bodies(positions=[[0.001, 0.002, RADIUS]], sizes=2 * RADIUS, density=DENSITY),),
     )
-    stepper = start(scene)
+    stepper = start(scene, skin=0.35 * RADIUS)
     stepper.advance(1.0)
     lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
     assert stepper.state.wall_position.numpy()[0, 2] > 10 * stepper.mesh_skin

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from .errors import refuse
+from .errors import CapacityError, refuse
+from .interrupts import put_off
 from .kernels.types import FAILED, GOAL, HALTED, STALE, STEPS, scene_struct, types
 from .kernels.wall_motion import MESH
 from .model import Model
@@ -24,18 +26,25 @@ from .stages import publish_stage, step_stages
 from .state import State, pair_types
 from .surfaces import Surfaces
 
+MOST_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
 LARGEST_GRAPH = 64  # steps of one graph
 BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
 
 
 def default_threads() -> int:
-    """CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """CPU cores that this process may use, by its affinity and its container's share."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = min(cores, max(1, int(quota) // int(period)))
+    except (OSError, ValueError):  # no such file, or no quota
+        pass
+    return cores
 
 
-def batch_key(model: Model, state: State) -> tuple:
+def batch_key(model: Model) -> tuple:
     """Scenes with equal keys can share a batch."""
-    return model.features, state.slot_history.shape[1], model.scalar, str(model.device)
+    return model.features, model.analytic_walls, model.scalar, str(model.device)
 
 
 class Batch:
@@ -50,7 +59,7 @@ class Batch:
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
         model = models[0]
-        if len({batch_key(m, s) for m, s in zip(models, states)}) > 1:
+        if len({batch_key(m) for m in models}) > 1:
             refuse("batch", len(models), "scenes of a batch must need the same features")
         self.models, self.states = models, states
         for s, state in enumerate(states):
@@ -71,6 +80,8 @@ class Batch:
         self.version = 0
         """Of the recorded launches: another number means that arrays or chunks have changed."""
         self._chunks: tuple[int, ...] = ()
+        self.rechunked: set[int] = set()
+        """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
         self._since_build = 0
         self._between_builds = LARGEST_GRAPH
         self.goals = np.zeros(self.count, dtype=int)
@@ -209,6 +220,8 @@ class Batch:
         grown = wanted > capacity
         capacity[grown] = wanted[grown] + wanted[grown] // 4 + 64
         new = np.concatenate([[0], np.cumsum(capacity)])
+        if new[-1] > MOST_ENTRIES:
+            raise CapacityError(f"{names[0]}: {self.spheres} spheres need {new[-1]} entries, more than {MOST_ENTRIES}")
         for name in names:
             if name not in used:
                 continue
@@ -237,13 +250,11 @@ class Batch:
             self.body_chunks = np.searchsorted(first, wanted)
             self.sphere_chunks = first[self.body_chunks]
         chunks = [int(c) for c in self.sphere_chunks]
-        self.rechunked = self.count == 1 and self.states[0].chunks != chunks
-        """The chunks are others than those of the lists that the state came with."""
-        if self.count == 1:
-            self.states[0].chunks = chunks
-        else:
-            for state in self.states:
-                state.chunks = [0, state.sphere_count]
+        for s, state in enumerate(self.states):
+            own = chunks if self.count == 1 else [0, state.sphere_count]
+            if state.chunks != own:
+                self.rechunked.add(s)
+            state.chunks = own
         self._chunks = (*self.body_chunks.tolist(), *self.sphere_chunks.tolist())
         if self._chunks != before:
             self.void()
@@ -338,13 +349,11 @@ class Batch:
         if self._pool is None:
             wp.capture_launch(graphs[0])
             return
-        # Every thread must set out, or those that did wait for it at the barrier: no interrupt in between.
-        running = [self._pool.submit(wp.capture_launch, graph) for graph in graphs]
-        try:
+        # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
+        # reads again.
+        with put_off():
+            running = [self._pool.submit(wp.capture_launch, graph) for graph in graphs]
             wait(running)
-        except KeyboardInterrupt:
-            wait(running)
-            raise
         for one in running:
             one.result()
 

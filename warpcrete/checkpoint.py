@@ -18,7 +18,16 @@ from .provenance import fingerprint, versions
 from .state import BodyTable, State, placed_bodies
 
 FORMAT = 2
-NUMBERS = ("body_count", "sphere_count", "largest_radius", "smallest_radius", "total_mass", "pair_total", "chunks")
+NUMBERS = (
+    "body_count",
+    "sphere_count",
+    "largest_radius",
+    "smallest_radius",
+    "mean_radius",
+    "total_mass",
+    "pair_total",
+    "chunks",
+)
 TRANSIENT = ("force", "moment")  # zero between two steps
 
 

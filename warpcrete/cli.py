@@ -146,7 +146,7 @@ study.md, study.csv, study.png and a run folder for each case.
 
 \b
   --repeat N             run every case with N seeds                                      [default: 1]
-  --one-at-a-time        vary each parameter alone, the others at their first or default value
+  --one-at-a-time        vary each parameter alone, the other varied ones at their defaults
   --out FOLDER           new folder                                                       [default: runs/study-NNN]
   --resume FOLDER        go on with a study: finished cases are not run again
   --device, --precision  as for run

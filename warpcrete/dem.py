@@ -26,14 +26,18 @@ class StableStep:
         f = batch.features
         self._kernels = timestep_kernels(batch.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds)
 
-        self._recorded: dict[int, tuple[int, list[Stage]]] = {}
+        self._recorded: dict[int, list[Stage]] = {}
+        self._version = -1
 
     def __call__(self, s: int) -> None:
         """Estimate for scene number `s`."""
-        if self._recorded.get(s, (-1, []))[0] != self.batch.version:
-            self._recorded[s] = self.batch.version, self._stages(s)
+        if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
+            self._recorded.clear()
+            self._version = self.batch.version
+        if s not in self._recorded:
+            self._recorded[s] = self._stages(s)
         self.batch.changed()
-        for stage in self._recorded[s][1]:
+        for stage in self._recorded[s]:
             stage()
         self.batch.changed()
 

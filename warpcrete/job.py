@@ -32,6 +32,7 @@ def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], An
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:
     """Go on with an interrupted run, in its folder; `live` shows it from here on."""
+    from .batch import default_threads
     from .run_folder import read_json
 
     if not (folder / "scene.json").is_file():
@@ -48,6 +49,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
     settings = dict(record.get("command", {}))
     if set(settings) != set(KEPT):
         raise RunFolderError(f"'{folder / 'scene.json'}': does not say how the run was recorded; it cannot be resumed")
+    settings["threads"] = min(settings["threads"], default_threads())
     if settings["pipeline_other"] is not None:
         settings["pipeline_other"] = Path(settings["pipeline_other"])
     run(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .batch import Batch
+from .batch import MOST_ENTRIES, Batch
 from .errors import CapacityError
 from .kernels.neighbors import invert, iota, neighbor_kernels, order_kernels, permute_kernel
 from .kernels.types import STALE, types
@@ -16,7 +16,6 @@ from .kernels.walls import candidate_kernels
 from .stages import Stage
 from .state import State, pair_types
 
-MOST_PAIRS = 2**31 - 2**20
 DRIFT_LANES = 256
 
 
@@ -32,7 +31,7 @@ class NeighborLists:
         self.sort_every = np.full(batch.count, 20)
         """Builds of a scene from one re-sorting of its bodies to the next; 0: never."""
         self.builds = np.zeros(batch.count, dtype=int)
-        self.mean_radius = np.ones(batch.count)
+        self.mean_radius = np.array([s.mean_radius for s in batch.states])
         """Of a scene's spheres at full size [m]."""
         f, t, device = batch.features, types(batch.scalar), batch.device
         self._kernels = neighbor_kernels(batch.scalar, f.half_list, f.history, f.bonds)
@@ -46,6 +45,7 @@ class NeighborLists:
         self._count = wp.zeros(n + scenes, dtype=wp.int32, device=device)
         self._scanned = wp.zeros(n + scenes, dtype=wp.int32, device=device)
         self._total = wp.zeros(scenes, dtype=wp.int32, device=device)
+        self._face_total = wp.zeros(scenes, dtype=wp.int32, device=device)
         self._identity = wp.zeros(n, dtype=wp.int32, device=device)
         self._old_place = wp.zeros(n, dtype=wp.int32, device=device)
         self._new_place = wp.zeros(n, dtype=wp.int32, device=device)
@@ -85,7 +85,7 @@ class NeighborLists:
             launches["stretch"]()
         for stage in launches["count"]:
             stage()
-        wanted = self._starts(launches["starts"], "neighbour list", "pairs")
+        wanted = self._starts(launches["starts"], self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
             self._keep_old()  # the scenes' places in the pair arrays are others now
@@ -96,7 +96,7 @@ class NeighborLists:
             stage()
         if b.features.meshes:
             launches["count faces"]()
-            wanted = self._starts(launches["face starts"], "mesh candidates", "faces")
+            wanted = self._starts(launches["face starts"], self._face_total, "mesh candidates", "faces")
             if np.any(wanted > b.face_capacity):
                 b.reserve_faces(wanted)
                 launches = self._launches(sort)
@@ -144,8 +144,8 @@ class NeighborLists:
                 for first, last in pairwise(b.sphere_chunks.tolist())
             ]  # fmt: skip
 
-        def starts(start: wp.array) -> Stage:
-            return stage(kernels.starts, n + b.count, b.slot_scene, self._scanned, start, self._total)
+        def starts(start: wp.array, total: wp.array) -> Stage:
+            return stage(kernels.starts, n + b.count, b.slot_scene, self._scanned, start, total)
 
         found: dict[str, Any] = {
             "centres": Stage(
@@ -156,7 +156,7 @@ class NeighborLists:
                 old[2], self._stretched,
             ),
             "count": listing(kernels.count),
-            "starts": starts(b.pair_start),
+            "starts": starts(b.pair_start, self._total),
             "fill": listing(kernels.fill),
             "drift": stage(kernels.drift, (b.count, DRIFT_LANES), b.sphere_velocity, self._lanes),
             "freshen": Stage(
@@ -170,17 +170,17 @@ class NeighborLists:
                 b.sphere_position, b.candidate_start, self._count, b.candidate_face,
             ]  # fmt: skip
             found["count faces"] = stage(self._count_faces, n, *arguments)
-            found["face starts"] = starts(b.candidate_start)
+            found["face starts"] = starts(b.candidate_start, self._face_total)
             found["fill faces"] = stage(self._fill_faces, n, *arguments)
         self._recorded[sorted_now] = found
         return found
 
-    def _starts(self, place: Stage, what: str, entries: str) -> np.ndarray:
+    def _starts(self, place: Stage, total: wp.array, what: str, entries: str) -> np.ndarray:
         """Scan the counts into row starts; returns how many entries each scene now has."""
         wp.utils.array_scan(self._count, self._scanned, inclusive=False)
         place()
-        wanted = self._total.numpy().astype(np.int64)
-        if np.any(wanted < 0) or wanted.sum() > MOST_PAIRS:
+        wanted = total.numpy().astype(np.int64)
+        if np.any(wanted < 0) or wanted.sum() > MOST_ENTRIES:
             raise CapacityError(f"{what} of {self.batch.spheres} spheres has more than 2^31 {entries}")
         return wanted
 

@@ -306,7 +306,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
     """Drive growths of the same features as one batch each; what each returned or raised, by number."""
     groups: dict[Any, list[int]] = {}
     for number, growth in growths.items():
-        key = batch_key(growth.model, growth.state) if growth.model.device.is_cuda else number
+        key = batch_key(growth.model) if growth.model.device.is_cuda else number
         groups.setdefault(key, []).append(number)
     found: dict[int, Any] = {}
     done = dict.fromkeys(growths, 0.0)

@@ -8,6 +8,7 @@ run.series["pressure"]
 from __future__ import annotations
 
 import math
+import os
 import time as wall_clock
 import warnings
 from collections.abc import Callable, Sequence
@@ -36,7 +37,6 @@ from .watch import Watch
 Progress = Callable[[str, float, dict[str, Any]], None]
 """Called with the phase (`packing`, `settling`, `running`), the share done and a few current figures."""
 
-MOST_THREADS = 1024
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 
 
@@ -86,6 +86,8 @@ class Run:
     """Figures of the whole run; those with a unit are `{"value", "unit"}`."""
     packing: PackingReport | None
     finished: bool
+    interrupted: bool = False
+    """Cut at once by an interruption (Ctrl-C), not at a sample."""
     folder: Path | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
     """Bodies at the end."""
@@ -123,8 +125,9 @@ class Simulation:
         self.device = find_device(device)
         self.precision = precision or scene.precision
         self.threads = default_threads() if threads is None else threads
-        if not 1 <= self.threads <= MOST_THREADS:
-            refuse("threads", threads, f"must be in [1, {MOST_THREADS}]")
+        cores = os.cpu_count() or 1
+        if not 1 <= self.threads <= cores:
+            refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
         self.model = build_model(scene, self.device, self.precision)
         self.recorders = list(recorders)
         self.frame_interval = frame_interval
@@ -186,6 +189,11 @@ class Simulation:
         else:
             damping = self.scene.local_damping
         stepper.change(local_damping=damping)
+
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+        self.stepper.batch.states.clear()
+        del self.state, self.stepper, self.sampler, self.watch
 
     def preparing(self) -> Course:
         """Course: from placed bodies to t = 0."""
@@ -284,7 +292,7 @@ class Simulation:
         self._ran = True
         self._started = wall_clock.perf_counter()
         begun: list[Recorder] = []
-        finished = False
+        finished = interrupted = False
         try:
             try:
                 for recorder in self.recorders:
@@ -296,11 +304,12 @@ class Simulation:
                         recorder.resume(self, memory)
                 finished = yield from self._loop()
             except KeyboardInterrupt:
-                pass
+                interrupted = True
         finally:
             self._spent["running"] = self._running()
             self.finishing = True
             run = self._result(finished)
+            run.interrupted = interrupted
             failures = []
             for recorder in reversed(begun):
                 try:
@@ -377,6 +386,8 @@ class Simulation:
         self.model.wall_table.assign(still)
         parts = 50
         for part in range(parts):
+            if self.stop_requested:
+                raise KeyboardInterrupt
             yield from self.stepper.advancing(duration * (part + 1) / parts)
             self._tell("settling", (part + 1) / parts)
             kinetic = body_sums(self.model, self.state).kinetic_energy

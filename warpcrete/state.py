@@ -150,6 +150,7 @@ class State:
             inertia[members] = template.inertia * (table.mass[members] * table.size[members] ** 2)[:, None]
         self.body_count, self.sphere_count = n, spheres
         self.largest_radius = float(offsets[:, 3].max(initial=0.0))
+        self.mean_radius = float(offsets[:, 3].mean()) if spheres else 1.0
         self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if spheres else 0.0
 
         arms = rotate(table.orientation[body_of], offsets[:, :3])

@@ -11,6 +11,7 @@ import numpy as np
 from .batch import Batch
 from .dem import StableStep, foreseen_speed, make_bonds, reassign_bonds
 from .errors import CapacityError, InstabilityError, refuse
+from .interrupts import put_off
 from .kernels.types import DT_PREVIOUS, FAILED, OVERFLOW, STALE, STEPS, TIME
 from .kernels.wall_motion import SPEED_LIMIT
 from .model import Model
@@ -57,15 +58,13 @@ class Stepper:
             among = NeighborLists(batch), StableStep(batch), 0
         self.lists, self._estimate, self.index = among
         self.batch = self.lists.batch
-        radii = state.sphere_offset.numpy()[:, 3]
-        mean = float(radii.mean()) if len(radii) else 1.0
+        mean = state.mean_radius
         self.skin = SKIN["cuda" if self.batch.is_cuda else "cpu"] * mean if skin is None else skin
         if memory is not None:
             self.skin = memory["skin"]
         moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in model.walls)
         self.mesh_skin = MESH_SKIN * self.skin
         self.lists.sort_every[self.index] = sort_every
-        self.lists.mean_radius[self.index] = mean
         self.batch.set(
             self.index,
             skin=self.skin,
@@ -81,7 +80,7 @@ class Stepper:
         self.running = False  # until then an unstable fixed step is bad input, later an instability
         if memory is not None:
             self.lists.builds[self.index], self._since_estimate = memory["builds"], memory["since_estimate"]
-        if memory is None or self.batch.rechunked:
+        if memory is None or self.index in self.batch.rechunked:
             self.rebuild()
 
     def memory(self) -> dict[str, Any]:
@@ -284,12 +283,14 @@ def steppers_of(
 def drive(courses: dict[int, tuple[Stepper, Course]]) -> dict[int, Any]:
     """Drive the courses of scenes of one batch to their ends, by scene number; returns what each returned or raised.
 
-    An interruption (Ctrl-C) is raised inside every course that waits.
+    An interruption (Ctrl-C), wherever it falls, is raised inside every course that waits.
     """
     results: dict[int, Any] = {}
     waiting: set[int] = set()
+    stop: KeyboardInterrupt | None = None
 
     def go_on(s: int, error: BaseException | None = None) -> None:
+        nonlocal stop
         waiting.discard(s)
         course = courses[s][1]
         try:
@@ -299,36 +300,39 @@ def drive(courses: dict[int, tuple[Stepper, Course]]) -> dict[int, Any]:
                 course.throw(error)
         except StopIteration as end:
             results[s] = end.value
-        except (Exception, KeyboardInterrupt) as failure:
+            if getattr(end.value, "interrupted", False):
+                stop = stop or KeyboardInterrupt()
+        except KeyboardInterrupt as interruption:
+            results[s] = stop = interruption
+        except Exception as failure:
             results[s] = failure
         else:
             waiting.add(s)
 
     for s in courses:
-        go_on(s)
-    if not waiting:
-        return results
-    lists = next(iter(courses.values()))[0].lists
-    batch = lists.batch
-    while waiting:
+        go_on(s, stop)
+    lists = next(iter(courses.values()))[0].lists if courses else None
+    while waiting and lists is not None:
         try:
-            flags = batch.launch()
-            for s in sorted(waiting):
-                if (error := courses[s][0].trouble(flags[s])) is not None:
-                    go_on(s, error)
-            if np.any(flags[:, int(STALE)]):
-                lists()
-        except KeyboardInterrupt as stop:
-            for s in sorted(waiting):
-                go_on(s, stop)
-            continue
+            if stop is None:
+                flags = lists.batch.launch()
+                for s in sorted(waiting):
+                    if (error := courses[s][0].trouble(flags[s])) is not None:
+                        go_on(s, error)
+                if np.any(flags[:, int(STALE)]):
+                    with put_off():
+                        lists()
+                for s in sorted(waiting):
+                    if flags[s, int(STEPS)] >= lists.batch.goals[s]:
+                        go_on(s, stop)
+        except KeyboardInterrupt as interruption:
+            stop = interruption
         except CapacityError as full:  # of the lists, which all scenes share
             for s in sorted(waiting):
                 go_on(s, full)
-            continue
-        for s in sorted(waiting):
-            if flags[s, int(STEPS)] >= batch.goals[s]:
-                go_on(s)
+        if stop is not None:
+            for s in sorted(waiting):
+                go_on(s, stop)
     return results
 
 

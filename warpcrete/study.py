@@ -7,13 +7,16 @@ fills a run folder of its own below the study's, and a study that is started aga
 from __future__ import annotations
 
 import csv
+import importlib
+import inspect
 import itertools
 import json
 import multiprocessing
 import shutil
 import signal
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from .batch import default_threads
-from .errors import RunFolderError, WarpcreteError, between, positive, refuse
+from .errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from .model import find_device
 from .provenance import provenance, write_json
 from .record_plot import PlotRecorder
@@ -107,7 +110,7 @@ def cases_of(
             refuse(name, values, "must be one or more different values")
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "goes by seeds, which the study names itself", "leave out one of both")
-    if one_at_a_time:
+    if one_at_a_time and varied:
         points = [{name: value} for name, values in varied.items() for value in values]
     else:
         points = [dict(zip(varied, values)) for values in itertools.product(*varied.values())]
@@ -154,6 +157,10 @@ def run_study(
     runs every case with so many seeds; `one_at_a_time` varies each parameter alone. `processes` are those of a CPU
     (default: one a core). Raises :class:`SceneError` before anything is written if any case makes no scene.
     """
+    if "precision" in inspect.signature(module.scene).parameters:
+        if "precision" in varied or (base or {}).get("precision", precision) != precision:
+            refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
+        base = {**(base or {}), "precision": precision}
     cases = cases_of(base or {}, varied, repeat=repeat, one_at_a_time=one_at_a_time)
     positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
@@ -254,40 +261,39 @@ def _simulation(record: dict[str, Any], module: Any, command: dict[str, Any], fo
 
 
 def _book(study: Study, case: Case, outcome: Any) -> None:
-    """Note what came of a case."""
+    """Note what came of a case. Only what the case itself is to blame for counts for good."""
     if isinstance(outcome, Run):
         if outcome.finished:
             study.results[case.name] = outcome.result
-    elif isinstance(outcome, WarpcreteError):
-        _fail(study.folder, case.name, str(outcome))
-        study.failures[case.name] = str(outcome)
-    elif isinstance(outcome, BaseException) and not isinstance(outcome, KeyboardInterrupt):
-        raise outcome
-
-
-def _fail(folder: Path, name: str, message: str) -> None:
-    (folder / name).mkdir(exist_ok=True)
-    (folder / name / FAILED).write_text(message + "\n")
+    elif isinstance(outcome, Exception):
+        study.failures[case.name] = str(outcome) or type(outcome).__name__
+        if isinstance(outcome, InstabilityError | SceneError):
+            (study.folder / case.name).mkdir(exist_ok=True)
+            (study.folder / case.name / FAILED).write_text(f"{outcome}\n")
 
 
 class _StopAtSample:
-    """The first Ctrl-C ends every run at its next sample, a second one at once."""
+    """The first Ctrl-C ends every run at its next sample, a second one at once; only the main thread gets any."""
 
     def __init__(self, simulations: list[Simulation]) -> None:
         self.simulations, self.asked = simulations, False
+        self._previous: Any = None
 
-    def __enter__(self) -> None:
-        def stop(signum, frame) -> None:
-            if self.asked:
-                raise KeyboardInterrupt
-            self.asked = True
-            for simulation in self.simulations:
-                simulation.stop_requested = True
+    def __enter__(self) -> _StopAtSample:
+        if threading.current_thread() is threading.main_thread():
+            self._previous = signal.signal(signal.SIGINT, self._stop)
+        return self
 
-        self._previous = signal.signal(signal.SIGINT, stop)
+    def _stop(self, signum, frame) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        for simulation in self.simulations:
+            simulation.stop_requested = True
 
     def __exit__(self, *unused) -> None:
-        signal.signal(signal.SIGINT, self._previous)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, self._previous)
 
 
 def _run_on_gpu(record, module, command, folder, pending, study, tell) -> None:
@@ -302,55 +308,83 @@ def _run_on_gpu(record, module, command, folder, pending, study, tell) -> None:
         return hear
 
     pairs = [_simulation(record, module, command, folder, case, 1, told(case.name)) for case in pending]
-    simulations = [simulation for simulation, _ in pairs]
-    with _StopAtSample(simulations):
-        outcomes = run_together(
-            simulations,
-            checkpoints=[checkpoint for _, checkpoint in pairs],
-            progress=lambda phase, share: tell(phase, share, {}) if phase == "packing" else None,
-        )
+    with _StopAtSample([simulation for simulation, _ in pairs]) as stop:
+
+        def packing(phase: str, share: float) -> None:
+            if phase == "packing":
+                if stop.asked:
+                    raise KeyboardInterrupt
+                tell(phase, share, {})
+
+        outcomes = run_together(stop.simulations, checkpoints=[checkpoint for _, checkpoint in pairs], progress=packing)
     for case, outcome in zip(pending, outcomes):
         _book(study, case, outcome)
 
 
 def _run_in_processes(record, module, command, folder, pending, processes, study, tell) -> None:
+    """One case a process at a time, so that after a Ctrl-C nothing begins that has not begun."""
     workers = min(processes or default_threads(), len(pending))
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        running = {
-            pool.submit(_run_case, record, module.__name__, command, str(folder), case): case for case in pending
-        }
-        try:
-            for done, future in enumerate(as_completed(running)):
-                finished, result, error = future.result()
-                case = running[future]
-                if finished:
-                    study.results[case.name] = result
-                elif error is not None:
-                    study.failures[case.name] = error
-                tell("running", (done + 1) / len(pending), {})
-        except KeyboardInterrupt:
-            pool.shutdown(wait=True, cancel_futures=True)
+    stop = context.Event()
+    left = list(pending)
+    running: dict[Any, Case] = {}
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
+        while left or running:
+            try:
+                while left and len(running) < workers and not stop.is_set():
+                    case = left[0]
+                    future = pool.submit(_run_case, record, module.__name__, command, str(folder), case)
+                    running[future] = left.pop(0)
+                if not running:
+                    break
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    case = running.pop(future)
+                    try:
+                        finished, result, error = future.result()
+                    except Exception as broken:  # a process that was killed, or what nobody foresaw
+                        error = WarpcreteError(f"its process failed: {type(broken).__name__}: {broken}")
+                        finished, result = False, None
+                    if finished:
+                        study.results[case.name] = result
+                    elif error is not None:
+                        _book(study, case, error)
+                    tell("running", len(study.results) / len(study.cases), {})
+            except KeyboardInterrupt:
+                stop.set()  # those that run end at their next sample
+            except BrokenExecutor as broken:
+                study.failures |= {case.name: f"not run: {broken}" for case in left}
+                left.clear()
 
 
-def _run_case(record, module_name: str, command, folder: str, case: Case) -> tuple[bool, Any, str | None]:
+_stop_event: Any = None
+
+
+def _begin_worker(stop: Any) -> None:
+    """A worker leaves Ctrl-C to its parent, which tells it through `stop`."""
+    global _stop_event
+    _stop_event = stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_case(record, module_name: str, command, folder: str, case: Case) -> tuple[bool, Any, Exception | None]:
     """One case in a process of its own; returns whether it finished, its result, and what it failed with."""
-    import importlib
+    simulation: Simulation | None = None
+
+    def hear(phase: str, share: float, figures: dict[str, Any]) -> None:
+        if _stop_event is not None and _stop_event.is_set():
+            if phase != "running" or simulation is None:
+                raise KeyboardInterrupt
+            simulation.stop_requested = True
 
     module = importlib.import_module(module_name)
-    simulation, checkpoint = _simulation(
-        record, module, command, Path(folder), case, 1, lambda phase, share, figures: None
+    simulation, checkpoint = _simulation(record, module, command, Path(folder), case, 1, hear)
+    (outcome,) = run_together(
+        [simulation], checkpoints=[checkpoint], progress=lambda phase, share: hear(phase, share, {})
     )
-    with _StopAtSample([simulation]):
-        (outcome,) = run_together([simulation], checkpoints=[checkpoint])
     if isinstance(outcome, Run):
         return outcome.finished, outcome.result, None
-    if isinstance(outcome, WarpcreteError):
-        _fail(Path(folder), case.name, str(outcome))
-        return False, None, str(outcome)
-    if isinstance(outcome, KeyboardInterrupt):
-        return False, None, None
-    raise outcome
+    return False, None, outcome if isinstance(outcome, Exception) else None
 
 
 def _write(study: Study, title: str) -> None:

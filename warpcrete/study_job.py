@@ -32,6 +32,12 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
     for word in arguments:
         if word.startswith("--"):
             name, given, value = word[2:].partition("=")
+            name = name.replace("_", "-")
+            if name in FLAGS:
+                if given:
+                    raise click.UsageError(f"--{name}: takes no value")
+                options[name], current = [], None
+                continue
             if name in options:
                 raise click.UsageError(f"--{name}: given twice; list its values behind one")
             current = options.setdefault(name, [value] if given else [])
@@ -131,6 +137,8 @@ def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, l
                 f"--{option}: is no parameter of this scene; 'warpcrete run SCENE --help' lists them"
             )
         kind = kind_and_help(hints[name])[0]
+        if negative and (words or kind is not bool):
+            raise click.UsageError(f"--{option}: takes no value")
         if kind is bool:
             words = words or ["false" if negative else "true"]
         if not words:

@@ -16,6 +16,7 @@ from .state import BodyTable, placed_bodies
 from .stepper import Course, drive, steppers_of
 
 Outcome = Run | BaseException
+PACKED_TOGETHER = 32
 
 
 def run_together(
@@ -39,45 +40,56 @@ def run_together(
         packings = _packed(new, lambda share: tell("packing", share))
     except KeyboardInterrupt as stop:
         return [stop] * len(simulations)
+    placed: dict[int, tuple[Any, float]] = {}
     groups: dict[Any, list[int]] = {}
     for number, (simulation, path) in enumerate(zip(simulations, checkpoints)):
+        if path is None and simulation.scene.fill is not None:
+            placed[number] = packings[_packing_key(simulation)]
+            if isinstance(placed[number][0], BaseException):
+                outcomes[number] = placed[number][0]
+                continue
+        groups.setdefault((batch_key(simulation.model), simulation.threads), []).append(number)
+    parts = [part for numbers in groups.values() for part in _fitting(simulations, placed, numbers)]
+    for done, part in enumerate(parts):
+        courses: dict[int, tuple[Any, Course]] = {}
+        running: list[int] = []
         try:
-            if path is not None:
-                memories[number] = simulation.restore(path)
-            else:
-                packed, took = packings[_packing_key(simulation)] if simulation.scene.fill is not None else (None, 0.0)
-                if isinstance(packed, BaseException):
-                    raise packed
-                simulation.place(packed, took)
+            for number in part:
+                simulation, path = simulations[number], checkpoints[number]
+                try:
+                    if path is not None:
+                        memories[number] = simulation.restore(path)
+                    else:
+                        simulation.place(*placed.get(number, (None, 0.0)))
+                    running.append(number)
+                except WarpcreteError as error:
+                    outcomes[number] = error
+            members = [simulations[number] for number in running]
+            if not members:
+                continue
+            steppers = steppers_of(
+                [m.model for m in members],
+                [m.state for m in members],
+                time_steps=[m.scene.time_step for m in members],
+                memories=[memories[number]["stepper"] if number in memories else None for number in running],
+                threads=members[0].threads,
+            )
         except WarpcreteError as error:
-            outcomes[number] = error
+            outcomes |= dict.fromkeys(running, error)
             continue
-        groups.setdefault(batch_key(simulation.model, simulation.state), []).append(number)
-    parts = [part for numbers in groups.values() for part in _fitting(simulations, numbers)]
-    finished = len(outcomes)
-    for part in parts:
-        members = [simulations[number] for number in part]
-        steppers = steppers_of(
-            [m.model for m in members],
-            [m.state for m in members],
-            time_steps=[m.scene.time_step for m in members],
-            memories=[memories[number]["stepper"] if number in memories else None for number in part],
-            threads=members[0].threads,
-        )
-        for member, stepper in zip(members, steppers):
-            member.join(stepper)
-        courses = {
-            stepper.index: (stepper, _course(simulations[number], number in memories))
-            for number, stepper in zip(part, steppers)
-        }
-        results = drive(courses)
-        for number, stepper in zip(part, steppers):
-            outcomes[number] = results[stepper.index]
-        finished += len(part)
-        tell("running", finished / len(simulations))
-        stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
-        if stop is not None or any(isinstance(r, Run) and not r.finished for r in results.values()):
+        except KeyboardInterrupt:
             break
+        for number, stepper in zip(running, steppers):
+            simulations[number].join(stepper)
+            courses[stepper.index] = (stepper, _course(simulations[number], number in memories))
+        results = drive(courses)
+        outcomes |= {number: results[stepper.index] for number, stepper in zip(running, steppers)}
+        tell("running", (done + 1) / len(parts))
+        if any(isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()):
+            break
+        if done + 1 < len(parts) and members[0].device.is_cuda:
+            for member in members:  # the next part needs the memory
+                member.release()
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
@@ -107,26 +119,34 @@ def _packed(simulations: Sequence[Simulation], tell: Callable[[float], None]) ->
     for (_, precision, threads), keys in kinds.items():
         started = wall_clock.perf_counter()
         requests = [Request(needed[k].scene.fill, needed[k].scene.contact, needed[k].scene.seed) for k in keys]  # type: ignore[arg-type]
-        results = pack_many(
-            requests, device=needed[keys[0]].device, precision=precision, threads=threads, progress=tell
-        )
+        results: list[Any] = []
+        for first in range(0, len(requests), PACKED_TOGETHER):
+            results += pack_many(
+                requests[first : first + PACKED_TOGETHER],
+                device=needed[keys[0]].device,
+                precision=precision,
+                threads=threads,
+                progress=tell,
+            )
         took = (wall_clock.perf_counter() - started) / len(keys)
         found |= {key: (result, took) for key, result in zip(keys, results)}
     return found
 
 
-def _fitting(simulations: Sequence[Simulation], numbers: list[int]) -> list[list[int]]:
-    """Split into batches that fit the device's memory, together with what is there already."""
-    device = simulations[numbers[0]].model.device
-    if not device.is_cuda and simulations[numbers[0]].threads > 1:
+def _fitting(
+    simulations: Sequence[Simulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
+) -> list[list[int]]:
+    """Split into batches of which each alone fits the device's memory."""
+    first = simulations[numbers[0]]
+    if not first.device.is_cuda and first.threads > 1:
         return [[number] for number in numbers]  # one after the other, each with all threads
-    room = SHARE * memory_free(device)
+    room = SHARE * memory_free(first.device)
     parts: list[list[int]] = [[]]
     used = 0.0
     for number in numbers:
         simulation = simulations[number]
-        table = placed_bodies(simulation.scene) if simulation.scene.fill is None else simulation.state.table()
-        needed = memory_needed(simulation.model, table if len(table) else BodyTable.empty())
+        table = placed[number][0][0] if number in placed else BodyTable.empty()
+        needed = memory_needed(simulation.model, table.joined(placed_bodies(simulation.scene)))
         if parts[-1] and used + needed > room:
             parts.append([])
             used = 0.0
