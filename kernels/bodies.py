@@ -7,6 +7,7 @@ import warp as wp
 
 from .geometry import axis_functions
 from .types import (
+    SPAN,
     DT,
     DT_PREVIOUS,
     FAILED,
@@ -94,6 +95,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     The same step as `clump_kernel`; what bodies hold besides is written by `publish_kernel`, when somebody looks.
     """
     t = types(scalar)
+    span = SPAN if zero_forces else 1
     SceneRow = scene_struct(scalar)
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
@@ -107,6 +109,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     def move_spheres(
         scenes: wp.array(dtype=SceneRow),
         first: wp.int32,
+        last: wp.int32,
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
@@ -126,60 +129,61 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
         sphere_velocity: wp.array(dtype=t.vec4),
         sphere_spin: wp.array(dtype=t.vec3),
     ):
-        i = first + wp.tid()
-        s = sphere_scene[i]
-        if flags[s, HALTED] != 0:
-            return
-        dt = scalar(clock[s, DT])
-        kick = scalar(0.5) * scalar(clock[s, DT] + clock[s, DT_PREVIOUS])
-        damping = scenes[s].local_damping
-        position = sphere_position[i]
-        x = xyz(position)
-        radius = position[3]
-        mass = sphere_velocity[i][3]
-        velocity = xyz(sphere_velocity[i])
-        total = force[i]
-        if wp.static(zero_forces):
-            force[i] = t.vec3()
-        if wp.static(drives):
-            group = body_group[i]
-            if group > 0:
-                group = scenes[s].groups + group
-                from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
-                total += drive_force[group] * tangent
-        total += mass * scenes[s].gravity
-        total, lost = damped(total, velocity, damping, kick)
-        velocity += total * (kick / mass)
-        if not (wp.length_sq(velocity) <= scenes[s].speed_limit * scenes[s].speed_limit):
-            if flags[s, FAILED] == 0:
-                flags[s, FAILED] = 1 + i - scenes[s].spheres
-            return
-        place, rounding = moved_on(x, dt * velocity, body_rounding[i])
-        body_rounding[i] = rounding
-
-        if wp.static(rotation):
-            spin = sphere_spin[i]
-            torque, lost_turning = damped(moment[i], spin, damping, kick)
+        begin_i = first + wp.tid() * wp.static(span)
+        for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
+            s = sphere_scene[i]
+            if flags[s, HALTED] != 0:
+                continue
+            dt = scalar(clock[s, DT])
+            kick = scalar(0.5) * scalar(clock[s, DT] + clock[s, DT_PREVIOUS])
+            damping = scenes[s].local_damping
+            position = sphere_position[i]
+            x = xyz(position)
+            radius = position[3]
+            mass = sphere_velocity[i][3]
+            velocity = xyz(sphere_velocity[i])
+            total = force[i]
             if wp.static(zero_forces):
+                force[i] = t.vec3()
+            if wp.static(drives):
+                group = body_group[i]
+                if group > 0:
+                    group = scenes[s].groups + group
+                    from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
+                    total += drive_force[group] * tangent
+            total += mass * scenes[s].gravity
+            total, lost = damped(total, velocity, damping, kick)
+            velocity += total * (kick / mass)
+            if not (wp.length_sq(velocity) <= scenes[s].speed_limit * scenes[s].speed_limit):
+                if flags[s, FAILED] == 0:
+                    flags[s, FAILED] = 1 + i - scenes[s].spheres
+                continue
+            place, rounding = moved_on(x, dt * velocity, body_rounding[i])
+            body_rounding[i] = rounding
+
+            if wp.static(rotation):
+                spin = sphere_spin[i]
+                torque, lost_turning = damped(moment[i], spin, damping, kick)
+                if wp.static(zero_forces):
+                    moment[i] = t.vec3()
+                inertia = scalar(0.4) * mass * radius * radius
+                if wp.static(growth):
+                    inertia = scalar(0.4) * mass * sphere_offset[i][3] * sphere_offset[i][3]
+                sphere_spin[i] = spin + torque * (kick / inertia)
+                lost += lost_turning
+            elif wp.static(zero_forces):
                 moment[i] = t.vec3()
-            inertia = scalar(0.4) * mass * radius * radius
+            if wp.static(losses):
+                sphere_lost[i] = sphere_lost[i] + lost
             if wp.static(growth):
-                inertia = scalar(0.4) * mass * sphere_offset[i][3] * sphere_offset[i][3]
-            sphere_spin[i] = spin + torque * (kick / inertia)
-            lost += lost_turning
-        elif wp.static(zero_forces):
-            moment[i] = t.vec3()
-        if wp.static(losses):
-            sphere_lost[i] = sphere_lost[i] + lost
-        if wp.static(growth):
-            radius = sphere_offset[i][3] * wp.min(scale[s] + scenes[s].growth_rate, scenes[s].growth_end)
-        drift = scalar(clock[s, SINCE_BUILD] + clock[s, DT]) * reference_velocity[s]
-        if outgrows_lists(
-            place, radius, sphere_built[i], drift, scenes[s].skin, scenes[s].sphere_share, wp.static(meshes)
-        ):
-            flags[s, LATE] = 1
-        sphere_position[i] = pack(place, radius)
-        sphere_velocity[i] = pack(velocity, mass)
+                radius = sphere_offset[i][3] * wp.min(scale[s] + scenes[s].growth_rate, scenes[s].growth_end)
+            drift = scalar(clock[s, SINCE_BUILD] + clock[s, DT]) * reference_velocity[s]
+            if outgrows_lists(
+                place, radius, sphere_built[i], drift, scenes[s].skin, scenes[s].sphere_share, wp.static(meshes)
+            ):
+                flags[s, LATE] = 1
+            sphere_position[i] = pack(place, radius)
+            sphere_velocity[i] = pack(velocity, mass)
 
     return move_spheres
 
@@ -217,6 +221,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
     iteration), which makes the turn time-reversible and its energy error bounded.
     """
     t = types(scalar)
+    span = SPAN if zero_forces else 1
     SceneRow = scene_struct(scalar)
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
@@ -231,6 +236,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
     def move_clumps(
         scenes: wp.array(dtype=SceneRow),
         first: wp.int32,
+        last: wp.int32,
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
@@ -258,80 +264,81 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
         sphere_velocity: wp.array(dtype=t.vec4),
         sphere_spin: wp.array(dtype=t.vec3),
     ):
-        b = first + wp.tid()
-        scene = body_scene[b]
-        if flags[scene, HALTED] != 0:
-            return
-        dt = scalar(clock[scene, DT])
-        kick = scalar(0.5) * scalar(clock[scene, DT] + clock[scene, DT_PREVIOUS])
-        damping = scenes[scene].local_damping
-        x = body_position[b]
-        mass = body_mass[b]
-        begin = scenes[scene].spheres + body_first[b + scene]
-        end = scenes[scene].spheres + body_first[b + scene + 1]
+        begin_b = first + wp.tid() * wp.static(span)
+        for b in range(begin_b, wp.min(begin_b + wp.static(span), last)):
+            scene = body_scene[b]
+            if flags[scene, HALTED] != 0:
+                continue
+            dt = scalar(clock[scene, DT])
+            kick = scalar(0.5) * scalar(clock[scene, DT] + clock[scene, DT_PREVIOUS])
+            damping = scenes[scene].local_damping
+            x = body_position[b]
+            mass = body_mass[b]
+            begin = scenes[scene].spheres + body_first[b + scene]
+            end = scenes[scene].spheres + body_first[b + scene + 1]
 
-        total = t.vec3()
-        torque = t.vec3()
-        for s in range(begin, end):
-            f = force[s]
-            total += f
-            torque += moment[s] + wp.cross(xyz(sphere_position[s]) - x, f)
-            if wp.static(zero_forces):
-                force[s] = t.vec3()
-                moment[s] = t.vec3()
-        if wp.static(drives):
-            group = body_group[b]
-            if group > 0:
-                group = scenes[scene].groups + group
-                from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
-                total += drive_force[group] * tangent
-        total += mass * scenes[scene].gravity
+            total = t.vec3()
+            torque = t.vec3()
+            for s in range(begin, end):
+                f = force[s]
+                total += f
+                torque += moment[s] + wp.cross(xyz(sphere_position[s]) - x, f)
+                if wp.static(zero_forces):
+                    force[s] = t.vec3()
+                    moment[s] = t.vec3()
+            if wp.static(drives):
+                group = body_group[b]
+                if group > 0:
+                    group = scenes[scene].groups + group
+                    from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
+                    total += drive_force[group] * tangent
+            total += mass * scenes[scene].gravity
 
-        velocity = body_velocity[b]
-        total, lost = damped(total, velocity, damping, kick)
-        velocity += total * (kick / mass)
-        if not (wp.length_sq(velocity) <= scenes[scene].speed_limit * scenes[scene].speed_limit):
-            if flags[scene, FAILED] == 0:
-                flags[scene, FAILED] = 1 + b - scenes[scene].bodies
-            return
-        x, rounding = moved_on(x, dt * velocity, body_rounding[b])
-        body_rounding[b] = rounding
-        body_position[b] = x
-        body_velocity[b] = velocity
+            velocity = body_velocity[b]
+            total, lost = damped(total, velocity, damping, kick)
+            velocity += total * (kick / mass)
+            if not (wp.length_sq(velocity) <= scenes[scene].speed_limit * scenes[scene].speed_limit):
+                if flags[scene, FAILED] == 0:
+                    flags[scene, FAILED] = 1 + b - scenes[scene].bodies
+                continue
+            x, rounding = moved_on(x, dt * velocity, body_rounding[b])
+            body_rounding[b] = rounding
+            body_position[b] = x
+            body_velocity[b] = velocity
 
-        torque, lost_turning = damped(torque, body_spin[b], damping, kick)
-        if wp.static(losses):
-            sphere_lost[begin] = sphere_lost[begin] + lost + lost_turning
-        inertia = body_inertia[b]
-        q = body_orientation[b]
-        angular_momentum = body_angular_momentum[b] + kick * torque
-        spin = spin_of(q, angular_momentum, inertia)
-        if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
-            for iteration in range(3):
-                spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
-        orientation = turned(q, dt * spin)
-        body_angular_momentum[b] = angular_momentum
-        body_orientation[b] = orientation
-        body_spin[b] = spin
+            torque, lost_turning = damped(torque, body_spin[b], damping, kick)
+            if wp.static(losses):
+                sphere_lost[begin] = sphere_lost[begin] + lost + lost_turning
+            inertia = body_inertia[b]
+            q = body_orientation[b]
+            angular_momentum = body_angular_momentum[b] + kick * torque
+            spin = spin_of(q, angular_momentum, inertia)
+            if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
+                for iteration in range(3):
+                    spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
+            orientation = turned(q, dt * spin)
+            body_angular_momentum[b] = angular_momentum
+            body_orientation[b] = orientation
+            body_spin[b] = spin
 
-        size = scalar(1.0)
-        if wp.static(growth):
-            size = wp.min(scale[scene] + scenes[scene].growth_rate, scenes[scene].growth_end)
-        drift = scalar(clock[scene, SINCE_BUILD] + clock[scene, DT]) * reference_velocity[scene]
-        for s in range(begin, end):
-            offset = sphere_offset[s]
-            arm = wp.quat_rotate(orientation, xyz(offset)) * size
-            place = x + arm
-            carried = velocity + wp.cross(spin, arm)
-            radius = offset[3] * size
-            if outgrows_lists(
-                place, radius, sphere_built[s], drift, scenes[scene].skin, scenes[scene].sphere_share,
-                wp.static(meshes),
-            ):  # fmt: skip
-                flags[scene, LATE] = 1
-            sphere_position[s] = pack(place, radius)
-            sphere_velocity[s] = pack(carried, mass)
-            sphere_spin[s] = spin
+            size = scalar(1.0)
+            if wp.static(growth):
+                size = wp.min(scale[scene] + scenes[scene].growth_rate, scenes[scene].growth_end)
+            drift = scalar(clock[scene, SINCE_BUILD] + clock[scene, DT]) * reference_velocity[scene]
+            for s in range(begin, end):
+                offset = sphere_offset[s]
+                arm = wp.quat_rotate(orientation, xyz(offset)) * size
+                place = x + arm
+                carried = velocity + wp.cross(spin, arm)
+                radius = offset[3] * size
+                if outgrows_lists(
+                    place, radius, sphere_built[s], drift, scenes[scene].skin, scenes[scene].sphere_share,
+                    wp.static(meshes),
+                ):  # fmt: skip
+                    flags[scene, LATE] = 1
+                sphere_position[s] = pack(place, radius)
+                sphere_velocity[s] = pack(carried, mass)
+                sphere_spin[s] = spin
 
     return move_clumps
 

@@ -90,11 +90,11 @@ def contact_functions(scalar):
             loading = dt * overlap / closing
         old = rotated_with_normal(history, touch.normal, touch.twist)
         trial = old + (stiffness * loading) * (touch.velocity - vn * touch.normal)
-        magnitude = wp.length(trial)
-        slips = magnitude > limit
+        square = wp.length_sq(trial)
+        slips = square > limit * limit
         new = trial
         if slips:
-            new = trial * (limit / magnitude)
+            new = trial * (limit / wp.sqrt(square))
         lost = scalar(0.0)
         if stiffness > scalar(0.0):
             lost = half * wp.dot(old + new, trial - new) / stiffness

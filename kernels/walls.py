@@ -18,10 +18,12 @@ import warp as wp
 
 from .contact_law import contact_functions
 from .geometry import axis_functions, triangle_functions
-from .types import DT_PREVIOUS, FORCE_SCALE, HALTED, OVERFLOW, STALE, scene_struct, types, vector_functions
-from .wall_motion import PLANE, wall_struct
+from .rows import row_functions
+from .types import SPAN, DT_PREVIOUS, FORCE_SCALE, HALTED, OVERFLOW, STALE, scene_struct, types, vector_functions
+from .wall_motion import FIXED, PLANE, wall_struct
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
+FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time; more sets OVERFLOW
 WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
 
@@ -56,6 +58,8 @@ def analytic_wall_functions(scalar, law, losses: bool):
     contact_energy = law(scalar).energy
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
+    pack = vector_functions(scalar).pack
+    read_vec4 = row_functions(scalar).vec4
     safe_normalize = vector_functions(scalar).safe_normalize
     add_to_wall = wall_force_function(scalar)
 
@@ -77,20 +81,30 @@ def analytic_wall_functions(scalar, law, losses: bool):
         wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
         scale: wp.float64,
+        sphere_clear: wp.array(dtype=t.vec4),
         slot_touching: wp.array(dtype=wp.int32),
         slot_history: wp.array2d(dtype=t.vec3),
         step_force: wp.array3d(dtype=wp.int64),
     ):
         x = xyz(position)
         radius = position[3]
-        row = scene.laws + material * scene.materials
         total_force = t.vec3()
         total_moment = t.vec3()
         total_lost = wp.float64(0.0)
+        # Where the fixed walls were last looked at, and how far the nearest was: most spheres are far from all.
+        clear = read_vec4(sphere_clear, i)
+        room = clear[3] - radius
+        far = room > scalar(0.0) and wp.length_sq(x - xyz(clear)) < room * room
+        if far and scene.still != 0:
+            return total_force, total_moment, total_lost
+        nearest = scalar(wp.static(FARTHEST))
+        row = scene.laws + material * scene.materials
         before = slot_touching[i]
         now = wp.int32(0)
         for slot in range(scene.analytic):
             w = scene.walls + slot
+            if far and walls[w].motion == FIXED:
+                continue
             gap = scalar(0.0)
             n = t.vec3()  # from the sphere into the wall
             if walls[w].kind == PLANE:
@@ -102,6 +116,8 @@ def analytic_wall_functions(scalar, law, losses: bool):
                 gap = walls[w].radius - length - radius
                 if gap < scalar(0.0):
                     n = safe_normalize(offset, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
+            if walls[w].motion == FIXED:
+                nearest = wp.min(nearest, gap + radius)
             if gap < scalar(0.0):
                 arm = radius + gap
                 point = x + arm * n
@@ -127,6 +143,8 @@ def analytic_wall_functions(scalar, law, losses: bool):
                 slot_history[i, slot] = t.vec3()
         if now != before:
             slot_touching[i] = now
+        if not far:
+            sphere_clear[i] = pack(x, scalar(0.99) * nearest)  # the rest is room for rounding
         return total_force, total_moment, total_lost
 
     return SimpleNamespace(Segment=Segment, analytic_walls=analytic_walls)
@@ -150,6 +168,7 @@ def wall_kernel(scalar, law, losses: bool):
     def wall_contacts(
         scenes: wp.array(dtype=SceneRow),
         first: wp.int32,
+        last: wp.int32,
         part: wp.int32,
         parameters: wp.array(dtype=Parameters),
         walls: wp.array(dtype=Wall),
@@ -165,6 +184,7 @@ def wall_kernel(scalar, law, losses: bool):
         sphere_material: wp.array(dtype=wp.int32),
         clock: wp.array2d(dtype=wp.float64),
         flags: wp.array2d(dtype=wp.int32),
+        sphere_clear: wp.array(dtype=t.vec4),
         slot_touching: wp.array(dtype=wp.int32),
         slot_history: wp.array2d(dtype=t.vec3),
         force: wp.array(dtype=t.vec3),
@@ -172,25 +192,27 @@ def wall_kernel(scalar, law, losses: bool):
         step_force: wp.array3d(dtype=wp.int64),
         sphere_lost: wp.array(dtype=wp.float64),
     ):
-        i = first + wp.tid()
-        s = sphere_scene[i]
-        if flags[s, HALTED] != 0:
-            return
-        wall_force, wall_moment, lost = analytic_walls(
-            i, scenes[s], part, scalar(clock[s, DT_PREVIOUS]), sphere_position[i], sphere_velocity[i],
-            sphere_spin[i], sphere_material[i], parameters, walls, segments, wall_position, wall_normal,
-            wall_velocity, wall_spin, clock[s, FORCE_SCALE], slot_touching, slot_history, step_force,
-        )  # fmt: skip
-        force[i] = force[i] + wall_force
-        moment[i] = moment[i] + wall_moment
-        if wp.static(losses):
-            sphere_lost[i] = sphere_lost[i] + lost
+        begin_i = first + wp.tid() * wp.static(SPAN)
+        for i in range(begin_i, wp.min(begin_i + wp.static(SPAN), last)):
+            s = sphere_scene[i]
+            if flags[s, HALTED] != 0:
+                continue
+            wall_force, wall_moment, lost = analytic_walls(
+                i, scenes[s], part, scalar(clock[s, DT_PREVIOUS]), sphere_position[i], sphere_velocity[i],
+                sphere_spin[i], sphere_material[i], parameters, walls, segments, wall_position, wall_normal,
+                wall_velocity, wall_spin, clock[s, FORCE_SCALE], sphere_clear, slot_touching, slot_history,
+                step_force,
+            )  # fmt: skip
+            force[i] = force[i] + wall_force
+            moment[i] = moment[i] + wall_moment
+            if wp.static(losses):
+                sphere_lost[i] = sphere_lost[i] + lost
 
     return wall_contacts
 
 
 @functools.cache
-def mesh_kernel(scalar, law, losses: bool):
+def mesh_kernel(scalar, law, half: bool, losses: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
     SceneRow = scene_struct(scalar)
@@ -202,6 +224,7 @@ def mesh_kernel(scalar, law, losses: bool):
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
     add_to_wall = wall_force_function(scalar)
+    span = SPAN if half else 1
     slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
     slots_vector = wp.types.vector(MESH_SLOTS, scalar)
     slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
@@ -254,6 +277,7 @@ def mesh_kernel(scalar, law, losses: bool):
     def mesh_contacts(
         scenes: wp.array(dtype=SceneRow),
         first: wp.int32,
+        last: wp.int32,
         part: wp.int32,
         contact_parameters: wp.array(dtype=Parameters),
         walls: wp.array(dtype=Wall),
@@ -285,109 +309,112 @@ def mesh_kernel(scalar, law, losses: bool):
         step_force: wp.array3d(dtype=wp.int64),
         sphere_lost: wp.array(dtype=wp.float64),
     ):
-        i = first + wp.tid()
-        scene = sphere_scene[i]
-        if flags[scene, HALTED] != 0:
-            return
-        begin = scenes[scene].candidates + candidate_start[i + scene]
-        end = scenes[scene].candidates + candidate_start[i + scene + 1]
-        if begin == end:
-            return
-        dt = scalar(clock[scene, DT_PREVIOUS])
-        scale = clock[scene, FORCE_SCALE]
-        wall_base = scenes[scene].walls
-        analytic = scenes[scene].analytic
-        position = sphere_position[i]
-        x = xyz(position)
-        radius = position[3]
-        velocity = sphere_velocity[i]
-        row = scenes[scene].laws + sphere_material[i] * scenes[scene].materials
-        total_force = t.vec3()
-        total_moment = t.vec3()
-        total_lost = wp.float64(0.0)
-        found = wp.int32(0)
-        normals = slots_matrix()
-        gaps = slots_vector()
-        owners = slots_index()
-        for k in range(begin, end):
-            face = candidate_face[k]
-            w = face_wall[face]
-            local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
-            point, feature = closest_on_triangle(
-                local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-            )
-            offset = local - point
-            distance = wp.length(offset)
-            if distance < radius:
-                first_face = walls[w].first_face
-                if is_local_minimum(feature, face, first_face, offset, corners, faces, face_across, ring_start, ring):
-                    a = corners[faces[face, 0]]
-                    plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
-                    n = -safe_normalize(offset, -wp.normalize(plain))
-                    n = wp.quat_rotate(wall_orientation[w], n)
-                    gap = distance - radius
-                    # A centre pushed through the surface: the side it touched before is the inside.
-                    side = scalar(0.0)
-                    for s in range(MESH_SLOTS):
-                        if slot_wall[i, analytic + s] == w - wall_base:
-                            c = wp.dot(slot_normal[i, analytic + s], n)
-                            if wp.abs(c) > wp.abs(side):
-                                side = c
-                    if side < scalar(-0.7):
-                        n = -n
-                        gap = -distance - radius
-                    place = wp.int32(-1)
-                    for s in range(found):
-                        if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(merge_cosine)):
-                            place = s
-                    if place < 0:
-                        if found < MESH_SLOTS:
-                            normals[found] = n
-                            gaps[found] = gap
-                            owners[found] = w
-                            found += 1
-                        else:
-                            flags[scene, OVERFLOW] = 1
-                    elif gap < gaps[place]:
-                        normals[place] = n
-                        gaps[place] = gap
-        histories = slots_matrix()
-        for s in range(found):
-            n = normals[s]
-            w = owners[s]
-            # History belongs to the old contact on this wall with the nearest normal.
-            history = t.vec3()
-            best = scalar(wp.static(merge_cosine))
-            for o in range(MESH_SLOTS):
-                if slot_wall[i, analytic + o] == w - wall_base:
-                    c = wp.dot(slot_normal[i, analytic + o], n)
-                    if c > best:
-                        best = c
-                        history = slot_history[i, analytic + o]
-            arm = radius + gaps[s]
-            point = x + arm * n
-            surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
-            relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
-            twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
-            touch = wall_touch(n, gaps[s], relative, twist, radius, velocity[3])
-            f, new_history, lost = contact_force(contact_parameters[row + walls[w].material], touch, history, dt)
-            histories[s] = new_history
-            total_lost += wp.float64(lost)
-            total_force += f
-            total_moment += wp.cross(arm * n, f)
-            add_to_wall(step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
-        for s in range(MESH_SLOTS):
-            if s < found:
-                slot_wall[i, analytic + s] = owners[s] - wall_base
-                slot_normal[i, analytic + s] = normals[s]
-                slot_overlap[i, analytic + s] = -gaps[s]
-                slot_history[i, analytic + s] = histories[s]
-            else:
-                slot_wall[i, analytic + s] = -1
-        force[i] = force[i] + total_force
-        moment[i] = moment[i] + total_moment
-        if wp.static(losses):
-            sphere_lost[i] = sphere_lost[i] + total_lost
+        begin_i = first + wp.tid() * wp.static(span)
+        for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
+            scene = sphere_scene[i]
+            if flags[scene, HALTED] != 0:
+                continue
+            begin = scenes[scene].candidates + candidate_start[i + scene]
+            end = scenes[scene].candidates + candidate_start[i + scene + 1]
+            if begin == end:
+                continue
+            dt = scalar(clock[scene, DT_PREVIOUS])
+            scale = clock[scene, FORCE_SCALE]
+            wall_base = scenes[scene].walls
+            analytic = scenes[scene].analytic
+            position = sphere_position[i]
+            x = xyz(position)
+            radius = position[3]
+            velocity = sphere_velocity[i]
+            row = scenes[scene].laws + sphere_material[i] * scenes[scene].materials
+            total_force = t.vec3()
+            total_moment = t.vec3()
+            total_lost = wp.float64(0.0)
+            found = wp.int32(0)
+            normals = slots_matrix()
+            gaps = slots_vector()
+            owners = slots_index()
+            for k in range(begin, end):
+                face = candidate_face[k]
+                w = face_wall[face]
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                point, feature = closest_on_triangle(
+                    local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+                )
+                offset = local - point
+                distance = wp.length(offset)
+                if distance < radius:
+                    first_face = walls[w].first_face
+                    if is_local_minimum(
+                        feature, face, first_face, offset, corners, faces, face_across, ring_start, ring
+                    ):
+                        a = corners[faces[face, 0]]
+                        plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
+                        n = -safe_normalize(offset, -wp.normalize(plain))
+                        n = wp.quat_rotate(wall_orientation[w], n)
+                        gap = distance - radius
+                        # A centre pushed through the surface: the side it touched before is the inside.
+                        side = scalar(0.0)
+                        for s in range(MESH_SLOTS):
+                            if slot_wall[i, analytic + s] == w - wall_base:
+                                c = wp.dot(slot_normal[i, analytic + s], n)
+                                if wp.abs(c) > wp.abs(side):
+                                    side = c
+                        if side < scalar(-0.7):
+                            n = -n
+                            gap = -distance - radius
+                        place = wp.int32(-1)
+                        for s in range(found):
+                            if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(merge_cosine)):
+                                place = s
+                        if place < 0:
+                            if found < MESH_SLOTS:
+                                normals[found] = n
+                                gaps[found] = gap
+                                owners[found] = w
+                                found += 1
+                            else:
+                                flags[scene, OVERFLOW] = 1
+                        elif gap < gaps[place]:
+                            normals[place] = n
+                            gaps[place] = gap
+            histories = slots_matrix()
+            for s in range(found):
+                n = normals[s]
+                w = owners[s]
+                # History belongs to the old contact on this wall with the nearest normal.
+                history = t.vec3()
+                best = scalar(wp.static(merge_cosine))
+                for o in range(MESH_SLOTS):
+                    if slot_wall[i, analytic + o] == w - wall_base:
+                        c = wp.dot(slot_normal[i, analytic + o], n)
+                        if c > best:
+                            best = c
+                            history = slot_history[i, analytic + o]
+                arm = radius + gaps[s]
+                point = x + arm * n
+                surface = wall_velocity[w] + wp.cross(wall_spin[w], point - wall_position[w])
+                relative = surface - xyz(velocity) - wp.cross(sphere_spin[i], arm * n)
+                twist = scalar(0.5) * dt * wp.dot(sphere_spin[i] + wall_spin[w], n)
+                touch = wall_touch(n, gaps[s], relative, twist, radius, velocity[3])
+                f, new_history, lost = contact_force(contact_parameters[row + walls[w].material], touch, history, dt)
+                histories[s] = new_history
+                total_lost += wp.float64(lost)
+                total_force += f
+                total_moment += wp.cross(arm * n, f)
+                add_to_wall(step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
+            for s in range(MESH_SLOTS):
+                if s < found:
+                    slot_wall[i, analytic + s] = owners[s] - wall_base
+                    slot_normal[i, analytic + s] = normals[s]
+                    slot_overlap[i, analytic + s] = -gaps[s]
+                    slot_history[i, analytic + s] = histories[s]
+                else:
+                    slot_wall[i, analytic + s] = -1
+            force[i] = force[i] + total_force
+            moment[i] = moment[i] + total_moment
+            if wp.static(losses):
+                sphere_lost[i] = sphere_lost[i] + total_lost
 
     return mesh_contacts
 

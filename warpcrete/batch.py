@@ -19,7 +19,7 @@ import warp as wp
 from .errors import CapacityError, refuse
 from .interrupts import put_off
 from .kernels.types import FAILED, GOAL, HALTED, STALE, STEPS, scene_struct, types
-from .kernels.wall_motion import MESH
+from .kernels.wall_motion import FIXED, MESH
 from .model import Model
 from .scene import MeshWall
 from .stages import publish_stage, step_stages
@@ -114,6 +114,7 @@ class Batch:
             drives.append(model.drive_axis.numpy() + first_segment[s])
             row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
             row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
+            row["still"][s] = int(np.all(table["motion"][: model.analytic_walls] == int(FIXED)))
             row["materials"][s] = model.material_count
             row["gravity"][s] = model.scene.gravity
             row["speed_limit"][s] = model.scene.watch.speed
@@ -165,6 +166,8 @@ class Batch:
         self._place_pairs()
         self.wall_step_force = wp.zeros((self.threads, self.walls, 6), dtype=wp.int64, device=self.device)
         self.sums = wp.zeros((self.spheres, 4), dtype=t.mat33, device=self.device)
+        self.sphere_clear = wp.zeros(self.spheres if self.features.analytic else 0, dtype=t.vec4, device=self.device)
+        """Where a sphere was when its distance to the fixed planes and pipes was last measured, and that distance [m]."""
         self.wall_load = wp.zeros((self.walls, 2), dtype=wp.int64, device=self.device)
         self.smallest = wp.zeros(self.count, dtype=wp.float64, device=self.device)
         self.fastest = wp.zeros(self.count, dtype=wp.float64, device=self.device)
@@ -359,7 +362,7 @@ class Batch:
 
     def _capture(self, size: int) -> list[Any]:
         for stage in {id(s): s for part in self.stages for s in part}.values():
-            wp.load_module(stage.kernel.module, device=self.device)
+            wp.load_module(stage.kernel.module, device=self.device, block_dim=stage.block)
         graphs = []
         for part in self.stages:
             with wp.ScopedCapture(device=self.device) as capture:

@@ -103,6 +103,8 @@ class NeighborLists:
             launches["fill faces"]()
         launches["drift"]()
         launches["freshen"]()
+        if b.features.analytic:
+            b.sphere_clear.zero_()
         b.changed()
         b.built()
 

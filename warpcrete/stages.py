@@ -9,6 +9,7 @@ import warp as wp
 from .kernels.bodies import clump_kernel, publish_kernel, sphere_kernel, tick_kernel
 from .kernels.contacts import contact_kernel
 from .kernels.threads import barrier
+from .kernels.types import SPAN
 from .kernels.wall_motion import advance_kernel
 from .kernels.walls import mesh_kernel, wall_kernel
 
@@ -26,6 +27,7 @@ class Stage:
 
     def __init__(self, kernel, dim: int | tuple[int, ...], arguments: list, device) -> None:
         self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
+        self.block = block_size(dim if isinstance(dim, int) else 0) if device.is_cuda else 1
         self._command: Any = None
 
     def __call__(self) -> None:
@@ -34,9 +36,14 @@ class Stage:
         if self._command is None:
             self._command = wp.launch(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
-                block_dim=block_size(self.dim if isinstance(self.dim, int) else 0) if self.device.is_cuda else None,
+                block_dim=self.block,
             )  # fmt: skip
         self._command.launch()
+
+
+def tasks(batch: Batch, bodies: int) -> int:
+    """Tasks of a kernel over so many bodies."""
+    return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
@@ -53,13 +60,14 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
                     b.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds, f.healing,
                     f.analytic and not f.half_list, f.losses
                 ),
-                last - first,
+                tasks(batch, last - first),
                 [
                     b.scenes, first, last, part, b.pair_parameters, b.bond_parameters, b.sphere_scene,
                     b.sphere_position, b.sphere_velocity, b.sphere_spin, b.sphere_material, b.pair_start,
                     b.pair_other, b.clock, b.flags, b.sphere_touching, b.pair_history, b.pair_bond,
                     b.pair_bond_force, b.pair_bond_moment, b.wall_parameters, b.wall_table, b.segments,
-                    b.wall_position, b.wall_normal, b.wall_velocity, b.wall_spin, b.slot_touching, b.slot_history,
+                    b.wall_position, b.wall_normal, b.wall_velocity, b.wall_spin, b.sphere_clear, b.slot_touching,
+                    b.slot_history,
                     b.wall_step_force, b.force, b.moment, b.sphere_lost, b.sphere_broken,
                 ],
                 device,
@@ -69,11 +77,12 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
             stages.append(
                 Stage(
                     wall_kernel(b.scalar, f.wall_law, f.losses),
-                    last - first,
+                    tasks(batch, last - first),
                     [
-                        b.scenes, first, part, b.wall_parameters, b.wall_table, b.segments, b.wall_position,
+                        b.scenes, first, last, part, b.wall_parameters, b.wall_table, b.segments, b.wall_position,
                         b.wall_normal, b.wall_velocity, b.wall_spin, b.sphere_scene, b.sphere_position,
-                        b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock, b.flags, b.slot_touching,
+                        b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock, b.flags, b.sphere_clear,
+                        b.slot_touching,
                         b.slot_history, b.force, b.moment, b.wall_step_force, b.sphere_lost,
                     ],
                     device,
@@ -82,10 +91,10 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         if f.meshes:
             stages.append(
                 Stage(
-                    mesh_kernel(b.scalar, f.wall_law, f.losses),
-                    last - first,
+                    mesh_kernel(b.scalar, f.wall_law, f.half_list, f.losses),
+                    tasks(batch, last - first),
                     [
-                        b.scenes, first, part, b.wall_parameters, b.wall_table, b.wall_position, b.wall_orientation,
+                        b.scenes, first, last, part, b.wall_parameters, b.wall_table, b.wall_position, b.wall_orientation,
                         b.wall_velocity, b.wall_spin, b.corners, b.faces, b.face_across, b.ring_start, b.ring,
                         b.face_wall, b.candidate_start, b.candidate_face, b.sphere_scene, b.sphere_position,
                         b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock, b.flags, b.slot_history,
@@ -125,20 +134,20 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     if not f.clumps:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.losses)
         arguments = [
-            b.scenes, first, b.segments, b.drive_axis, b.drive_force, b.body_group, b.sphere_scene, b.sphere_offset,
+            b.scenes, first, last, b.segments, b.drive_axis, b.drive_force, b.body_group, b.sphere_scene, b.sphere_offset,
             b.sphere_built, b.reference_velocity, b.clock, b.flags, b.scale, b.force, b.moment, b.sphere_lost,
             b.body_rounding, b.sphere_position, b.sphere_velocity, b.sphere_spin,
         ]  # fmt: skip
     else:
         kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.losses)
         arguments = [
-            b.scenes, first, b.segments, b.drive_axis, b.drive_force, b.body_scene, b.body_group, b.body_mass,
+            b.scenes, first, last, b.segments, b.drive_axis, b.drive_force, b.body_scene, b.body_group, b.body_mass,
             b.body_inertia, b.body_first, b.sphere_offset, b.sphere_built, b.reference_velocity, b.clock, b.flags,
             b.scale, b.force, b.moment, b.sphere_lost, b.body_position, b.body_rounding, b.body_velocity,
             b.body_spin, b.body_orientation, b.body_angular_momentum, b.sphere_position, b.sphere_velocity,
             b.sphere_spin,
         ]  # fmt: skip
-    return Stage(kernel, last - first, arguments, b.device)
+    return Stage(kernel, tasks(batch, last - first), arguments, b.device)
 
 
 def barrier_stage(batch: Batch) -> list[Stage]:
