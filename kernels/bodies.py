@@ -7,7 +7,6 @@ import warp as wp
 
 from .geometry import axis_functions
 from .types import (
-    SPAN,
     DT,
     DT_PREVIOUS,
     FAILED,
@@ -16,6 +15,7 @@ from .types import (
     LATE,
     OVERFLOW,
     SINCE_BUILD,
+    SPAN,
     STALE,
     STEPS,
     TIME,

@@ -74,11 +74,11 @@ def bond_functions(scalar):
         torsion = moment[3] + k[3] * dt * spin_n
 
         radius = p.radius_multiplier * touch.smaller_radius
-        area = scalar(wp.static(float(np.pi))) * radius * radius
-        section = scalar(0.25) * area * radius  # I / R
-        stress = tension / area
-        peak_tension = stress + p.moment_factor * wp.length(bending) / section
-        peak_shear = wp.length(shear) / area + p.moment_factor * wp.abs(torsion) / (scalar(2.0) * section)
+        per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
+        per_section = scalar(4.0) * per_area / radius  # R / I
+        stress = tension * per_area
+        peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
+        peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section
         outcome = wp.int32(1)
         if peak_tension > p.tensile_strength:
             outcome = wp.static(int(BROKEN_IN_TENSION))

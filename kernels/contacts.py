@@ -19,7 +19,7 @@ import warp as wp
 from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .rows import row_functions
-from .types import SPAN, DT_PREVIOUS, FORCE_SCALE, HALTED, cpu_flags, lowest_bit, scene_struct, types, vector_functions
+from .types import DT_PREVIOUS, FORCE_SCALE, HALTED, SPAN, cpu_flags, lowest_bit, scene_struct, types, vector_functions
 from .wall_motion import wall_struct
 from .walls import analytic_wall_functions
 
@@ -61,7 +61,8 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
     bond_energy = bond_functions(scalar).bond_energy
     xyz = vector_functions(scalar).xyz
     rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4, write_vec3 = rows.int, rows.vec3, rows.vec4, rows.write_vec3
+    read_int, read_vec3, read_vec4 = rows.int, rows.vec3, rows.vec4
+    write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
 
     # A GPU's exact division and root are subroutines that take most of a contact's time; those of `fast_math` are
     # off by two units in the last place, in single precision only.
@@ -138,7 +139,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                     reach = radius_i + position_j[3]
                     close = wp.length_sq(xyz(position_j) - x_i) < reach * reach
                     if wp.static(bonds):
-                        close = close or pair_bond[block + b] > 0
+                        close = close or read_int(pair_bond, block + b) > 0
                     if close:
                         bits = bits | (1 << b)
                     b = b + 1
@@ -162,7 +163,8 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                                         counts = counts or (j >= first and j < last)
                                     if wp.length_sq(pair_history[k]) > scalar(0.0) and counts:
                                         touch = sphere_touch(
-                                            t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius_i, sphere_position[j][3],
+                                            t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius_i,
+                                            sphere_position[j][3],
                                             velocity_i[3], sphere_velocity[j][3],
                                         )  # fmt: skip
                                         p = pair_parameters[row + sphere_material[j]]
@@ -216,7 +218,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                         write_vec3(pair_history, k, new_history)
                     bond_moment = t.vec3()
                     if wp.static(bonds):
-                        bond = pair_bond[k]
+                        bond = read_int(pair_bond, k)
                         if wp.static(healing):
                             if bond == UNBONDED:
                                 bond = 1
@@ -228,7 +230,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                             stretch = wp.dot(way, distance * n + came_from) / (distance + wp.length(came_from))
                             held_force, held_moment, outcome = bond_force(
                                 bond_parameters[scenes[s].bonds + bond], touch, stretch, sign * (spin_j - spin_i),
-                                pair_bond_force[k], pair_bond_moment[k], dt,
+                                read_vec4(pair_bond_force, k), read_vec4(pair_bond_moment, k), dt,
                             )  # fmt: skip
                             if outcome < 0:
                                 pair_bond[k] = outcome
@@ -251,8 +253,8 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                                 # dashpot must not outlive it.
                                 if gap >= scalar(0.0):
                                     total = t.vec3()
-                            pair_bond_force[k] = held_force
-                            pair_bond_moment[k] = held_moment
+                            write_vec4(pair_bond_force, k, held_force)
+                            write_vec4(pair_bond_moment, k, held_moment)
                             total = total + xyz(held_force) + held_force[3] * n
                             bond_moment = xyz(held_moment) + held_moment[3] * n
                     if wp.static(losses):
@@ -267,8 +269,8 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                             write_vec3(moment, j, read_vec3(moment, j) + arm_j * turn - sign * bond_moment)
             if wp.static(walls):
                 wall_force, wall_moment, wall_lost = analytic_walls(
-                    i, scenes[s], part, dt, position_i, velocity_i, spin_i, sphere_material[i], wall_parameters, walls_in,
-                    segments, wall_position, wall_normal, wall_velocity, wall_spin, clock[s, FORCE_SCALE],
+                    i, scenes[s], part, dt, position_i, velocity_i, spin_i, sphere_material[i], wall_parameters,
+                    walls_in, segments, wall_position, wall_normal, wall_velocity, wall_spin, clock[s, FORCE_SCALE],
                     sphere_clear, slot_touching, slot_history, wall_step_force,
                 )  # fmt: skip
                 force_i += wall_force

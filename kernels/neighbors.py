@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .contacts import ALL_TOUCHED, decode
-from .types import FAILED, GOAL, HALTED, SINCE_BUILD, STALE, STEPS, scene_struct, types, vector_functions
+from .types import FAILED, GOAL, HALTED, SINCE_BUILD, SPAN, STALE, STEPS, scene_struct, types, vector_functions
 
 
 @functools.cache
@@ -122,13 +122,17 @@ def order_kernels(scalar):
 
 @functools.cache
 def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
-    """Kernels of one list layout: ``centres``, ``count``, ``fill``, ``stretch``, ``starts``, ``drift``, ``freshen``.
+    """Kernels of one list layout: ``centres``, ``count``, ``search``, ``carry``, ``stretch``, ``starts``, ``drift``,
+    ``freshen``.
 
     In the half list the larger sphere of a pair holds it (the lower place of two equal ones), so a search
-    reaches no farther than its own diameter; pairs across chunks stand at both, so with several chunks the search
-    reaches for the largest.
+    reaches no farther than its own diameter; pairs across chunks stand at both, so near another chunk the search
+    reaches for the largest. On a GPU a count of pairs goes before the search that writes them. On a CPU one task
+    searches for a chunk, writes one row after the other into the chunk's `room` of a buffer, and counts at once;
+    `wanted` tells how much room the chunk needs.
     """
     t = types(scalar)
+    span = 1 << 30 if half else 1
     SceneRow = scene_struct(scalar)
     xyz = vector_functions(scalar).xyz
 
@@ -166,111 +170,159 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
                     return k
         return wp.int32(-1)
 
-    def build(fill: bool):
+    @wp.func
+    def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
+        """May a sphere that `reach` takes in belong to another chunk? `boxes` bound the centres of each chunk."""
+        for other in range(boxes.shape[0]):
+            if other != part:
+                beyond = wp.max(wp.max(boxes[other, 0] - x, x - boxes[other, 1]), t.vec3())
+                if wp.length_sq(beyond) < reach * reach:
+                    return True
+        return False
+
+    def search_kernel(write: bool):
         @wp.kernel(module="unique", enable_backward=False)
-        def pairs(
+        def search(
             scenes: wp.array(dtype=SceneRow),
             flags: wp.array2d(dtype=wp.int32),
             grid: wp.uint64,
             first: wp.int32,
             last: wp.int32,
-            parts: wp.int32,
+            part: wp.int32,
+            boxes: wp.array2d(dtype=t.vec3),
             sphere_scene: wp.array(dtype=wp.int32),
             sphere_position: wp.array(dtype=t.vec4),
             sphere_body: wp.array(dtype=wp.int32),
-            sphere_id: wp.array(dtype=wp.int32),
             scale: wp.array(dtype=scalar),
             stretched: wp.array(dtype=scalar),
             old_place: wp.array(dtype=wp.int32),
-            new_place: wp.array(dtype=wp.int32),
             old_start: wp.array(dtype=wp.int32),
             old_other: wp.array(dtype=wp.int32),
-            old_history: wp.array(dtype=t.vec3),
             old_bond: wp.array(dtype=wp.int32),
-            old_bond_force: wp.array(dtype=t.vec4),
-            old_bond_moment: wp.array(dtype=t.vec4),
             start: wp.array(dtype=wp.int32),
             count: wp.array(dtype=wp.int32),
-            sphere_touching: wp.array(dtype=wp.int32),
+            place: wp.array(dtype=wp.int32),
+            room: wp.vec2i,
+            wanted: wp.array(dtype=wp.int32),
             other: wp.array(dtype=wp.int32),
-            pair_history: wp.array(dtype=t.vec3),
-            bond: wp.array(dtype=wp.int32),
-            bond_force: wp.array(dtype=t.vec4),
-            bond_moment: wp.array(dtype=t.vec4),
         ):
-            i = first + wp.tid()
+            begin = first + wp.tid() * wp.static(span)
+            row = room[0]
+            for i in range(begin, wp.min(begin + wp.static(span), last)):
+                s = sphere_scene[i]
+                if flags[s, STALE] == 0:
+                    continue
+                base = scenes[s].spheres
+                pairs = scenes[s].pairs
+                skin = scenes[s].skin
+                x = xyz(sphere_position[i])
+                radius = sphere_position[i][3]
+                body = sphere_body[i]
+                margin = skin
+                if wp.static(bonds):
+                    margin = wp.max(stretched[i], skin)
+                reach = radius + scale[s] * scenes[s].largest_radius + margin
+                if wp.static(half):
+                    if not near_another(x, reach, boxes, part):
+                        reach = radius + radius + margin
+                elif wp.static(write):
+                    row = pairs + start[i + s]
+                found = wp.int32(0)
+                query = wp.hash_grid_query(grid, x, reach, s)
+                j = wp.int32(0)
+                while wp.hash_grid_query_next(query, j):
+                    position_j = sphere_position[j]
+                    limit = radius + position_j[3] + skin
+                    close = wp.length_sq(xyz(position_j) - x) < limit * limit
+                    if wp.static(bonds):
+                        # Bonds that hold across a gap wider than the skin stay in the list.
+                        if not close and stretched[i] > skin:
+                            old = find(old_start, old_other, s, base, pairs, old_place[i], old_place[j])
+                            if old >= 0:
+                                close = old_bond[old] > 0
+                    if close:
+                        if holds(i, j, radius, position_j[3], first, last) and sphere_body[j] != body:
+                            if wp.static(write):
+                                if wp.static(not half) or row + found < room[1]:
+                                    # Rows ascend, whatever the order in which the grid finds neighbours: the sums
+                                    # of a step then do not depend on the grid, which scenes of a batch share.
+                                    k = row + found
+                                    for ahead in range(found):
+                                        if other[k - 1] < j - base:
+                                            break
+                                        other[k] = other[k - 1]
+                                        k = k - 1
+                                    other[k] = j - base
+                            found += 1
+                if wp.static(half or not write):
+                    count[i + s] = found
+                if wp.static(half):
+                    place[i] = row
+                    row += found
+            if wp.static(half):
+                wanted[part] = row - room[0]
+
+        return search
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def carry(
+        scenes: wp.array(dtype=SceneRow),
+        flags: wp.array2d(dtype=wp.int32),
+        first: wp.int32,
+        last: wp.int32,
+        sphere_scene: wp.array(dtype=wp.int32),
+        sphere_id: wp.array(dtype=wp.int32),
+        place: wp.array(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
+        old_place: wp.array(dtype=wp.int32),
+        old_start: wp.array(dtype=wp.int32),
+        old_other: wp.array(dtype=wp.int32),
+        old_history: wp.array(dtype=t.vec3),
+        old_bond: wp.array(dtype=wp.int32),
+        old_bond_force: wp.array(dtype=t.vec4),
+        old_bond_moment: wp.array(dtype=t.vec4),
+        start: wp.array(dtype=wp.int32),
+        sphere_touching: wp.array(dtype=wp.int32),
+        other: wp.array(dtype=wp.int32),
+        pair_history: wp.array(dtype=t.vec3),
+        bond: wp.array(dtype=wp.int32),
+        bond_force: wp.array(dtype=t.vec4),
+        bond_moment: wp.array(dtype=t.vec4),
+    ):
+        """Entries of the new rows, each with what the pair brings from the old list."""
+        begin = first + wp.tid() * wp.static(SPAN if half else 1)
+        for i in range(begin, wp.min(begin + wp.static(SPAN if half else 1), last)):
             s = sphere_scene[i]
             if flags[s, STALE] == 0:
-                return
+                continue
             base = scenes[s].spheres
-            place = scenes[s].pairs
-            skin = scenes[s].skin
-            x = xyz(sphere_position[i])
-            radius = sphere_position[i][3]
-            body = sphere_body[i]
-            old_i = old_place[i]
-            reach = radius + scale[s] * scenes[s].largest_radius + skin
-            if wp.static(half):
-                if parts == 1:
-                    reach = radius + radius + skin
-            found = wp.int32(0)
-            row = place
-            if wp.static(fill):
-                row = place + start[i + s]
+            pairs = scenes[s].pairs
+            if wp.static(history or bonds):
+                sphere_touching[i] = wp.static(ALL_TOUCHED)
+            for k in range(pairs + start[i + s], pairs + start[i + s + 1]):
+                j = base + other[k]
+                if wp.static(half):
+                    j = base + found[place[i] + k - pairs - start[i + s]]
+                entry = j - base
+                if sphere_id[j] < sphere_id[i]:
+                    entry = -1 - entry
+                other[k] = entry
                 if wp.static(history or bonds):
-                    sphere_touching[i] = wp.static(ALL_TOUCHED)
-            if wp.static(bonds):
-                reach += wp.max(stretched[i] - skin, scalar(0.0))
-            query = wp.hash_grid_query(grid, x, reach, s)
-            j = wp.int32(0)
-            while wp.hash_grid_query_next(query, j):
-                position_j = sphere_position[j]
-                limit = radius + position_j[3] + skin
-                close = wp.length_sq(xyz(position_j) - x) < limit * limit
-                if wp.static(bonds):
-                    # Bonds that hold across a gap wider than the skin stay in the list.
-                    if not close and stretched[i] > skin:
-                        old = find(old_start, old_other, s, base, place, old_i, old_place[j])
+                    old = find(old_start, old_other, s, base, pairs, old_place[i], old_place[j])
+                    if wp.static(history):
                         if old >= 0:
-                            close = old_bond[old] > 0
-                if close:
-                    if holds(i, j, radius, position_j[3], first, last) and sphere_body[j] != body:
-                        if wp.static(fill):
-                            # Rows ascend, whatever the order in which the grid finds neighbours: the sums of a
-                            # step then do not depend on the grid, which scenes of a batch share.
-                            k = row + found
-                            for ahead in range(found):
-                                if other[k - 1] < j - base:
-                                    break
-                                other[k] = other[k - 1]
-                                k = k - 1
-                            other[k] = j - base
-                        found += 1
-            if wp.static(fill):
-                for k in range(row, row + found):
-                    j = base + other[k]
-                    if sphere_id[j] < sphere_id[i]:
-                        other[k] = -1 - (j - base)
-                    if wp.static(history or bonds):
-                        old = find(old_start, old_other, s, base, place, old_i, old_place[j])
-                        if wp.static(history):
-                            if old >= 0:
-                                pair_history[k] = old_history[old]
-                            else:
-                                pair_history[k] = t.vec3()
-                        if wp.static(bonds):
-                            if old >= 0:
-                                bond[k] = old_bond[old]
-                                bond_force[k] = old_bond_force[old]
-                                bond_moment[k] = old_bond_moment[old]
-                            else:
-                                bond[k] = 0
-                                bond_force[k] = t.vec4()
-                                bond_moment[k] = t.vec4()
-            if not wp.static(fill):
-                count[i + s] = found
-
-        return pairs
+                            pair_history[k] = old_history[old]
+                        else:
+                            pair_history[k] = t.vec3()
+                    if wp.static(bonds):
+                        if old >= 0:
+                            bond[k] = old_bond[old]
+                            bond_force[k] = old_bond_force[old]
+                            bond_moment[k] = old_bond_moment[old]
+                        else:
+                            bond[k] = 0
+                            bond_force[k] = t.vec4()
+                            bond_moment[k] = t.vec4()
 
     @wp.kernel(module="unique", enable_backward=False)
     def stretch(
@@ -366,6 +418,6 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
             flags[s, HALTED] = 0
 
     return SimpleNamespace(
-        centres=centres, count=build(False), fill=build(True), stretch=stretch, starts=starts, drift=drift,
-        freshen=freshen,
+        centres=centres, count=search_kernel(False), search=search_kernel(True), carry=carry, stretch=stretch,
+        starts=starts, drift=drift, freshen=freshen,
     )  # fmt: skip

@@ -40,10 +40,18 @@ def write_vec3f(rows: wp.array(dtype=wp.vec3f), i: wp.int32, value: wp.vec3f): .
 def write_vec3d(rows: wp.array(dtype=wp.vec3d), i: wp.int32, value: wp.vec3d): ...
 
 
-SINGLE = SimpleNamespace(int=read_int, vec3=read_vec3f, vec4=read_vec4f, write_vec3=write_vec3f)
-DOUBLE = SimpleNamespace(int=read_int, vec3=read_vec3d, vec4=read_vec4d, write_vec3=write_vec3d)
+@wp.func_native(WRITE)
+def write_vec4f(rows: wp.array(dtype=wp.vec4f), i: wp.int32, value: wp.vec4f): ...
+
+
+@wp.func_native(WRITE)
+def write_vec4d(rows: wp.array(dtype=wp.vec4d), i: wp.int32, value: wp.vec4d): ...
+
+
+SINGLE = SimpleNamespace(int=read_int, vec3=read_vec3f, vec4=read_vec4f, write_vec3=write_vec3f, write_vec4=write_vec4f)
+DOUBLE = SimpleNamespace(int=read_int, vec3=read_vec3d, vec4=read_vec4d, write_vec3=write_vec3d, write_vec4=write_vec4d)
 
 
 def row_functions(scalar) -> SimpleNamespace:
-    """Functions ``int``, ``vec3``, ``vec4`` (read a row) and ``write_vec3`` of one precision."""
+    """Functions ``int``, ``vec3``, ``vec4`` (read a row), ``write_vec3`` and ``write_vec4`` of one precision."""
     return DOUBLE if scalar is wp.float64 else SINGLE

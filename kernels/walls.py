@@ -19,7 +19,7 @@ import warp as wp
 from .contact_law import contact_functions
 from .geometry import axis_functions, triangle_functions
 from .rows import row_functions
-from .types import SPAN, DT_PREVIOUS, FORCE_SCALE, HALTED, OVERFLOW, STALE, scene_struct, types, vector_functions
+from .types import DT_PREVIOUS, FORCE_SCALE, HALTED, OVERFLOW, SPAN, STALE, scene_struct, types, vector_functions
 from .wall_motion import FIXED, PLANE, wall_struct
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one

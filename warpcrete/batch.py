@@ -22,7 +22,7 @@ from .kernels.types import FAILED, GOAL, HALTED, STALE, STEPS, scene_struct, typ
 from .kernels.wall_motion import FIXED, MESH
 from .model import Model
 from .scene import MeshWall
-from .stages import publish_stage, step_stages
+from .stages import Stage, publish_stage, step_stages
 from .state import State, pair_types
 from .surfaces import Surfaces
 
@@ -167,7 +167,7 @@ class Batch:
         self.wall_step_force = wp.zeros((self.threads, self.walls, 6), dtype=wp.int64, device=self.device)
         self.sums = wp.zeros((self.spheres, 4), dtype=t.mat33, device=self.device)
         self.sphere_clear = wp.zeros(self.spheres if self.features.analytic else 0, dtype=t.vec4, device=self.device)
-        """Where a sphere was when its distance to the fixed planes and pipes was last measured, and that distance [m]."""
+        """Where a sphere was when its distance to fixed planes and pipes was last measured; that distance [m]."""
         self.wall_load = wp.zeros((self.walls, 2), dtype=wp.int64, device=self.device)
         self.smallest = wp.zeros(self.count, dtype=wp.float64, device=self.device)
         self.fastest = wp.zeros(self.count, dtype=wp.float64, device=self.device)
@@ -356,6 +356,20 @@ class Batch:
         # reads again.
         with put_off():
             running = [self._pool.submit(wp.capture_launch, graph) for graph in graphs]
+            wait(running)
+        for one in running:
+            one.result()
+
+    def in_parts(self, stages: list[Stage]) -> None:
+        """Launch stages that chunks have apart, each on a thread of its own."""
+        if self._pool is None:
+            for stage in stages:
+                stage()
+            return
+        for stage in stages:
+            stage.record()
+        with put_off():
+            running = [self._pool.submit(stage) for stage in stages]
             wait(running)
         for one in running:
             one.result()

@@ -13,7 +13,7 @@ from .errors import CapacityError
 from .kernels.neighbors import invert, iota, neighbor_kernels, order_kernels, permute_kernel
 from .kernels.types import STALE, types
 from .kernels.walls import candidate_kernels
-from .stages import Stage
+from .stages import Stage, tasks
 from .state import State, pair_types
 
 DRIFT_LANES = 256
@@ -44,6 +44,12 @@ class NeighborLists:
         self._centre = wp.zeros(n, dtype=t.vec3, device=device)
         self._count = wp.zeros(n + scenes, dtype=wp.int32, device=device)
         self._scanned = wp.zeros(n + scenes, dtype=wp.int32, device=device)
+        # Half lists: what a search finds, in a room for each chunk, and where a sphere's part of that begins.
+        self._room = np.full(batch.threads, 8 * n // batch.threads)
+        self._found = wp.empty(int(self._room.sum()) if f.half_list else 0, dtype=wp.int32, device=device)
+        self._place = wp.zeros(n if f.half_list else 0, dtype=wp.int32, device=device)
+        self._wanted = wp.zeros(batch.threads, dtype=wp.int32, device=device)
+        self._boxes = wp.zeros((batch.threads, 2), dtype=t.vec3, device=device)
         self._total = wp.zeros(scenes, dtype=wp.int32, device=device)
         self._face_total = wp.zeros(scenes, dtype=wp.int32, device=device)
         self._identity = wp.zeros(n, dtype=wp.int32, device=device)
@@ -83,8 +89,10 @@ class NeighborLists:
         if b.features.bonds:
             self._stretched.zero_()
             launches["stretch"]()
-        for stage in launches["count"]:
-            stage()
+        if b.features.half_list:
+            launches = self._search(sort)
+        else:
+            b.in_parts(launches["count"])
         wanted = self._starts(launches["starts"], self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
@@ -92,8 +100,9 @@ class NeighborLists:
             launches = self._launches(sort)
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
-        for stage in launches["fill"]:
-            stage()
+        if not b.features.half_list:
+            b.in_parts(launches["search"])
+        b.in_parts(launches["carry"])
         if b.features.meshes:
             launches["count faces"]()
             wanted = self._starts(launches["face starts"], self._face_total, "mesh candidates", "faces")
@@ -107,6 +116,25 @@ class NeighborLists:
             b.sphere_clear.zero_()
         b.changed()
         b.built()
+
+    def _search(self, sort: bool) -> dict[str, Any]:
+        """Half lists: search chunk by chunk into buffers, once more where one was too short."""
+        b = self.batch
+        if b.threads > 1:
+            places = self._centre.numpy()
+            chunks = [places[first:last] for first, last in pairwise(b.sphere_chunks.tolist())]
+            self._boxes.assign(np.array([[c.min(0), c.max(0)] if len(c) else [np.inf, -np.inf] for c in chunks]))
+        while True:
+            launches = self._launches(sort)
+            b.in_parts(launches["search"])
+            wanted = self._wanted.numpy().astype(np.int64)
+            if np.all(wanted <= self._room):
+                return launches
+            if wanted.sum() > MOST_ENTRIES:
+                raise CapacityError(f"neighbour list of {b.spheres} spheres has more than 2^31 pairs")
+            self._room = np.maximum(self._room, wanted + wanted // 4)
+            self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
+            self._recorded.clear()
 
     def _keep_old(self) -> None:
         """Copy of the list that the new one takes history from."""
@@ -135,16 +163,28 @@ class NeighborLists:
         def stage(kernel, dim: Any, *arguments: Any) -> Stage:
             return Stage(kernel, dim, [b.scenes, b.flags, *arguments], b.device)
 
-        def listing(kernel) -> list[Stage]:
+        edges = np.concatenate([[0], np.cumsum(self._room)])
+
+        def searching(kernel) -> list[Stage]:
             return [
                 stage(
-                    kernel, last - first, self._grid.id, first, last, b.threads, b.sphere_scene, b.sphere_position,
-                    b.sphere_body, b.sphere_id, b.scale, self._stretched, old_place, new_place, self._old_start, *old,
-                    b.pair_start, self._count, b.sphere_touching, b.pair_other, b.pair_history, b.pair_bond,
-                    b.pair_bond_force, b.pair_bond_moment,
+                    kernel, 1 if b.features.half_list else n, self._grid.id, first, last, part, self._boxes,
+                    b.sphere_scene, b.sphere_position, b.sphere_body, b.scale, self._stretched, old_place,
+                    self._old_start, old[0], old[2], b.pair_start, self._count, self._place,
+                    wp.vec2i(int(edges[part]), int(edges[part + 1])), self._wanted,
+                    self._found if b.features.half_list else b.pair_other,
                 )
-                for first, last in pairwise(b.sphere_chunks.tolist())
+                for part, (first, last) in enumerate(pairwise(b.sphere_chunks.tolist()))
             ]  # fmt: skip
+
+        carrying = [
+            stage(
+                kernels.carry, tasks(b, last - first), first, last, b.sphere_scene, b.sphere_id, self._place,
+                self._found if b.features.half_list else b.pair_other, old_place, self._old_start, *old, b.pair_start,
+                b.sphere_touching, b.pair_other, b.pair_history, b.pair_bond, b.pair_bond_force, b.pair_bond_moment,
+            )
+            for first, last in pairwise(b.sphere_chunks.tolist())
+        ]  # fmt: skip
 
         def starts(start: wp.array, total: wp.array) -> Stage:
             return stage(kernels.starts, n + b.count, b.slot_scene, self._scanned, start, total)
@@ -157,9 +197,10 @@ class NeighborLists:
                 kernels.stretch, n, b.sphere_scene, b.sphere_position, old_place, new_place, self._old_start, old[0],
                 old[2], self._stretched,
             ),
-            "count": listing(kernels.count),
+            "count": searching(kernels.count),
+            "search": searching(kernels.search),
             "starts": starts(b.pair_start, self._total),
-            "fill": listing(kernels.fill),
+            "carry": carrying,
             "drift": stage(kernels.drift, (b.count, DRIFT_LANES), b.sphere_velocity, self._lanes),
             "freshen": Stage(
                 kernels.freshen, b.count,

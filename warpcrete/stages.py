@@ -30,15 +30,18 @@ class Stage:
         self.block = block_size(dim if isinstance(dim, int) else 0) if device.is_cuda else 1
         self._command: Any = None
 
-    def __call__(self) -> None:
-        if self.dim == 0:
-            return
-        if self._command is None:
+    def record(self) -> None:
+        """Make ready, kernel loaded; nothing runs."""
+        if self._command is None and self.dim != 0:
             self._command = wp.launch(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
                 block_dim=self.block,
             )  # fmt: skip
-        self._command.launch()
+
+    def __call__(self) -> None:
+        if self.dim != 0:
+            self.record()
+            self._command.launch()
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -94,9 +97,9 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
                     mesh_kernel(b.scalar, f.wall_law, f.half_list, f.losses),
                     tasks(batch, last - first),
                     [
-                        b.scenes, first, last, part, b.wall_parameters, b.wall_table, b.wall_position, b.wall_orientation,
-                        b.wall_velocity, b.wall_spin, b.corners, b.faces, b.face_across, b.ring_start, b.ring,
-                        b.face_wall, b.candidate_start, b.candidate_face, b.sphere_scene, b.sphere_position,
+                        b.scenes, first, last, part, b.wall_parameters, b.wall_table, b.wall_position,
+                        b.wall_orientation, b.wall_velocity, b.wall_spin, b.corners, b.faces, b.face_across,
+                        b.ring_start, b.ring, b.face_wall, b.candidate_start, b.candidate_face, b.sphere_scene, b.sphere_position,
                         b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock, b.flags, b.slot_history,
                         b.slot_normal, b.slot_overlap, b.slot_wall, b.force, b.moment, b.wall_step_force,
                         b.sphere_lost,
@@ -134,9 +137,9 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     if not f.clumps:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.losses)
         arguments = [
-            b.scenes, first, last, b.segments, b.drive_axis, b.drive_force, b.body_group, b.sphere_scene, b.sphere_offset,
-            b.sphere_built, b.reference_velocity, b.clock, b.flags, b.scale, b.force, b.moment, b.sphere_lost,
-            b.body_rounding, b.sphere_position, b.sphere_velocity, b.sphere_spin,
+            b.scenes, first, last, b.segments, b.drive_axis, b.drive_force, b.body_group, b.sphere_scene,
+            b.sphere_offset, b.sphere_built, b.reference_velocity, b.clock, b.flags, b.scale, b.force, b.moment,
+            b.sphere_lost, b.body_rounding, b.sphere_position, b.sphere_velocity, b.sphere_spin,
         ]  # fmt: skip
     else:
         kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.losses)

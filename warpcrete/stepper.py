@@ -22,7 +22,7 @@ from .watch import unstable
 
 # Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
 # that rebuilding less often pays (142, 116, 111 us a step at 0.35, 0.6, 0.9).
-SKIN = {"cpu": 0.35, "cuda": 0.7}
+SKIN = {"cpu": 0.5, "cuda": 0.7}
 MESH_SKIN = 4  # times the skin
 
 Course = Generator[None, None, Any]
