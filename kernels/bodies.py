@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .geometry import axis_functions
+from .rows import row_functions
 from .types import (
     DT,
     DT_PREVIOUS,
@@ -104,6 +105,8 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     closest_on_axis = axis.closest_on_axis
     motion = motion_functions(scalar, losses)
     damped, moved_on, outgrows_lists = motion.damped, motion.moved_on, motion.outgrows_lists
+    rows = row_functions(scalar)
+    read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def move_spheres(
@@ -137,14 +140,15 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             dt = scalar(clock[s, DT])
             kick = scalar(0.5) * scalar(clock[s, DT] + clock[s, DT_PREVIOUS])
             damping = scenes[s].local_damping
-            position = sphere_position[i]
+            position = read_vec4(sphere_position, i)
             x = xyz(position)
             radius = position[3]
-            mass = sphere_velocity[i][3]
-            velocity = xyz(sphere_velocity[i])
-            total = force[i]
+            before = read_vec4(sphere_velocity, i)
+            mass = before[3]
+            velocity = xyz(before)
+            total = read_vec3(force, i)
             if wp.static(zero_forces):
-                force[i] = t.vec3()
+                write_vec3(force, i, t.vec3())
             if wp.static(drives):
                 group = body_group[i]
                 if group > 0:
@@ -158,32 +162,38 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
                 if flags[s, FAILED] == 0:
                     flags[s, FAILED] = 1 + i - scenes[s].spheres
                 continue
-            place, rounding = moved_on(x, dt * velocity, body_rounding[i])
-            body_rounding[i] = rounding
+            place, rounding = moved_on(x, dt * velocity, read_vec3(body_rounding, i))
+            write_vec3(body_rounding, i, rounding)
 
             if wp.static(rotation):
-                spin = sphere_spin[i]
-                torque, lost_turning = damped(moment[i], spin, damping, kick)
+                spin = read_vec3(sphere_spin, i)
+                torque, lost_turning = damped(read_vec3(moment, i), spin, damping, kick)
                 if wp.static(zero_forces):
-                    moment[i] = t.vec3()
+                    write_vec3(moment, i, t.vec3())
                 inertia = scalar(0.4) * mass * radius * radius
                 if wp.static(growth):
                     inertia = scalar(0.4) * mass * sphere_offset[i][3] * sphere_offset[i][3]
-                sphere_spin[i] = spin + torque * (kick / inertia)
+                write_vec3(sphere_spin, i, spin + torque * (kick / inertia))
                 lost += lost_turning
             elif wp.static(zero_forces):
-                moment[i] = t.vec3()
+                write_vec3(moment, i, t.vec3())
             if wp.static(losses):
                 sphere_lost[i] = sphere_lost[i] + lost
             if wp.static(growth):
                 radius = sphere_offset[i][3] * wp.min(scale[s] + scenes[s].growth_rate, scenes[s].growth_end)
             drift = scalar(clock[s, SINCE_BUILD] + clock[s, DT]) * reference_velocity[s]
             if outgrows_lists(
-                place, radius, sphere_built[i], drift, scenes[s].skin, scenes[s].sphere_share, wp.static(meshes)
+                place,
+                radius,
+                read_vec4(sphere_built, i),
+                drift,
+                scenes[s].skin,
+                scenes[s].sphere_share,
+                wp.static(meshes),
             ):
                 flags[s, LATE] = 1
-            sphere_position[i] = pack(place, radius)
-            sphere_velocity[i] = pack(velocity, mass)
+            write_vec4(sphere_position, i, pack(place, radius))
+            write_vec4(sphere_velocity, i, pack(velocity, mass))
 
     return move_spheres
 
@@ -231,6 +241,8 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
     turned, spin_of = rotation_functions(scalar)
     motion = motion_functions(scalar, losses)
     damped, moved_on, outgrows_lists = motion.damped, motion.moved_on, motion.outgrows_lists
+    rows = row_functions(scalar)
+    read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def move_clumps(
@@ -280,12 +292,12 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
             total = t.vec3()
             torque = t.vec3()
             for s in range(begin, end):
-                f = force[s]
+                f = read_vec3(force, s)
                 total += f
-                torque += moment[s] + wp.cross(xyz(sphere_position[s]) - x, f)
+                torque += read_vec3(moment, s) + wp.cross(xyz(read_vec4(sphere_position, s)) - x, f)
                 if wp.static(zero_forces):
-                    force[s] = t.vec3()
-                    moment[s] = t.vec3()
+                    write_vec3(force, s, t.vec3())
+                    write_vec3(moment, s, t.vec3())
             if wp.static(drives):
                 group = body_group[b]
                 if group > 0:
@@ -326,19 +338,19 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, zero_forces: 
                 size = wp.min(scale[scene] + scenes[scene].growth_rate, scenes[scene].growth_end)
             drift = scalar(clock[scene, SINCE_BUILD] + clock[scene, DT]) * reference_velocity[scene]
             for s in range(begin, end):
-                offset = sphere_offset[s]
+                offset = read_vec4(sphere_offset, s)
                 arm = wp.quat_rotate(orientation, xyz(offset)) * size
                 place = x + arm
                 carried = velocity + wp.cross(spin, arm)
                 radius = offset[3] * size
                 if outgrows_lists(
-                    place, radius, sphere_built[s], drift, scenes[scene].skin, scenes[scene].sphere_share,
+                    place, radius, read_vec4(sphere_built, s), drift, scenes[scene].skin, scenes[scene].sphere_share,
                     wp.static(meshes),
                 ):  # fmt: skip
                     flags[scene, LATE] = 1
-                sphere_position[s] = pack(place, radius)
-                sphere_velocity[s] = pack(carried, mass)
-                sphere_spin[s] = spin
+                write_vec4(sphere_position, s, pack(place, radius))
+                write_vec4(sphere_velocity, s, pack(carried, mass))
+                write_vec3(sphere_spin, s, spin)
 
     return move_clumps
 

@@ -61,7 +61,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
     bond_energy = bond_functions(scalar).bond_energy
     xyz = vector_functions(scalar).xyz
     rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4 = rows.int, rows.vec3, rows.vec4
+    read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
 
     # A GPU's exact division and root are subroutines that take most of a contact's time; those of `fast_math` are
@@ -116,9 +116,9 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
             materials = scenes[s].materials
             pairs = scenes[s].pairs
             dt = scalar(clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
-            position_i = sphere_position[i]
-            velocity_i = sphere_velocity[i]
-            spin_i = sphere_spin[i]
+            position_i = read_vec4(sphere_position, i)
+            velocity_i = read_vec4(sphere_velocity, i)
+            spin_i = read_vec3(sphere_spin, i)
             x_i = xyz(position_i)
             radius_i = position_i[3]
             row = laws + sphere_material[i] * materials
@@ -279,10 +279,10 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
             if wp.static(losses):
                 sphere_lost[i] = sphere_lost[i] + lost_i
             if wp.static(half):
-                force[i] = force[i] + force_i
-                moment[i] = moment[i] + moment_i
+                write_vec3(force, i, read_vec3(force, i) + force_i)
+                write_vec3(moment, i, read_vec3(moment, i) + moment_i)
             else:
-                force[i] = force_i
-                moment[i] = moment_i
+                write_vec3(force, i, force_i)
+                write_vec3(moment, i, moment_i)
 
     return contacts

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from .contacts import ALL_TOUCHED, decode
+from .rows import row_functions
 from .types import FAILED, GOAL, HALTED, SINCE_BUILD, SPAN, STALE, STEPS, scene_struct, types, vector_functions
 
 
@@ -135,6 +136,7 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
     span = 1 << 30 if half else 1
     SceneRow = scene_struct(scalar)
     xyz = vector_functions(scalar).xyz
+    read_int, read_vec4 = row_functions(scalar).read_int, row_functions(scalar).read_vec4
 
     @wp.kernel(module="unique", enable_backward=False)
     def centres(
@@ -162,11 +164,11 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
              pairs: wp.int32, i: wp.int32, j: wp.int32):  # fmt: skip
         """Place of the pair in the old list, or -1. A half list may hold it at either sphere."""
         for k in range(pairs + start[i + s], pairs + start[i + s + 1]):
-            if base + decode(other[k]) == j:
+            if base + decode(read_int(other, k)) == j:
                 return k
         if wp.static(half):
             for k in range(pairs + start[j + s], pairs + start[j + s + 1]):
-                if base + decode(other[k]) == i:
+                if base + decode(read_int(other, k)) == i:
                     return k
         return wp.int32(-1)
 
@@ -215,8 +217,9 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
                 base = scenes[s].spheres
                 pairs = scenes[s].pairs
                 skin = scenes[s].skin
-                x = xyz(sphere_position[i])
-                radius = sphere_position[i][3]
+                position = read_vec4(sphere_position, i)
+                x = xyz(position)
+                radius = position[3]
                 body = sphere_body[i]
                 margin = skin
                 if wp.static(bonds):
@@ -231,7 +234,7 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
                 query = wp.hash_grid_query(grid, x, reach, s)
                 j = wp.int32(0)
                 while wp.hash_grid_query_next(query, j):
-                    position_j = sphere_position[j]
+                    position_j = read_vec4(sphere_position, j)
                     limit = radius + position_j[3] + skin
                     close = wp.length_sq(xyz(position_j) - x) < limit * limit
                     if wp.static(bonds):

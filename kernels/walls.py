@@ -59,7 +59,7 @@ def analytic_wall_functions(scalar, law, losses: bool):
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
-    read_vec4 = row_functions(scalar).vec4
+    read_vec4, write_vec4 = row_functions(scalar).read_vec4, row_functions(scalar).write_vec4
     safe_normalize = vector_functions(scalar).safe_normalize
     add_to_wall = wall_force_function(scalar)
 
@@ -144,7 +144,7 @@ def analytic_wall_functions(scalar, law, losses: bool):
         if now != before:
             slot_touching[i] = now
         if not far:
-            sphere_clear[i] = pack(x, scalar(0.99) * nearest)  # the rest is room for rounding
+            write_vec4(sphere_clear, i, pack(x, scalar(0.99) * nearest))  # the rest is room for rounding
         return total_force, total_moment, total_lost
 
     return SimpleNamespace(Segment=Segment, analytic_walls=analytic_walls)

@@ -99,8 +99,9 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
                     [
                         b.scenes, first, last, part, b.wall_parameters, b.wall_table, b.wall_position,
                         b.wall_orientation, b.wall_velocity, b.wall_spin, b.corners, b.faces, b.face_across,
-                        b.ring_start, b.ring, b.face_wall, b.candidate_start, b.candidate_face, b.sphere_scene, b.sphere_position,
-                        b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock, b.flags, b.slot_history,
+                        b.ring_start, b.ring, b.face_wall, b.candidate_start, b.candidate_face,
+                        b.sphere_scene, b.sphere_position, b.sphere_velocity, b.sphere_spin, b.sphere_material, b.clock,
+                        b.flags, b.slot_history,
                         b.slot_normal, b.slot_overlap, b.slot_wall, b.force, b.moment, b.wall_step_force,
                         b.sphere_lost,
                     ],
