@@ -54,7 +54,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
     Wall = wall_struct(scalar)
     analytic = analytic_wall_functions(scalar, wall_law, losses)
     Segment = analytic.Segment
-    analytic_walls = analytic.analytic_walls
+    far_from_walls, analytic_walls = analytic.far_from_walls, analytic.analytic_walls
     sphere_touch = contact_functions(scalar).sphere_touch
     Bond = bond_functions(scalar).Bond
     bond_force = bond_functions(scalar).bond_force
@@ -268,14 +268,16 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                             write_vec3(force, j, read_vec3(force, j) - sign * total)
                             write_vec3(moment, j, read_vec3(moment, j) + arm_j * turn - sign * bond_moment)
             if wp.static(walls):
-                wall_force, wall_moment, wall_lost = analytic_walls(
-                    i, scenes[s], part, dt, position_i, velocity_i, spin_i, sphere_material[i], wall_parameters,
-                    walls_in, segments, wall_position, wall_normal, wall_velocity, wall_spin, clock[s, FORCE_SCALE],
-                    sphere_clear, slot_touching, slot_history, wall_step_force,
-                )  # fmt: skip
-                force_i += wall_force
-                moment_i += wall_moment
-                lost_i += wall_lost
+                far = far_from_walls(position_i, read_vec4(sphere_clear, i))
+                if not far or scenes[s].still == 0:
+                    wall_force, wall_moment, wall_lost = analytic_walls(
+                        i, scenes[s], far, part, dt, position_i, velocity_i, spin_i, sphere_material[i],
+                        wall_parameters, walls_in, segments, wall_position, wall_normal, wall_velocity, wall_spin,
+                        clock[s, FORCE_SCALE], sphere_clear, slot_touching, slot_history, wall_step_force,
+                    )  # fmt: skip
+                    force_i += wall_force
+                    moment_i += wall_moment
+                    lost_i += wall_lost
             if wp.static(losses):
                 sphere_lost[i] = sphere_lost[i] + lost_i
             if wp.static(half):

@@ -51,7 +51,7 @@ def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
 
 @functools.cache
 def order_kernels(scalar):
-    """Kernels that re-sort bodies and their spheres: ``keys``, ``counts``, ``spheres``, ``invert``.
+    """Kernels that re-sort bodies and their spheres: ``corner``, ``keys``, ``counts``, ``spheres``.
 
     Scenes keep their rows; inside those of a scene to be sorted (`sort[s]`) bodies follow the Morton code of their
     cell, in the others they stay.
@@ -59,24 +59,42 @@ def order_kernels(scalar):
     t = types(scalar)
     SceneRow = scene_struct(scalar)
 
+    @wp.func
+    def cell_of(scene: SceneRow, x: scalar):
+        return wp.int32(wp.floor(x / (scalar(2.0) * scene.largest_radius + scene.skin)))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def corner(
+        scenes: wp.array(dtype=SceneRow),
+        body_scene: wp.array(dtype=wp.int32),
+        body_position: wp.array(dtype=t.vec3),
+        lowest: wp.array2d(dtype=wp.int32),
+    ):
+        """Lowest cell of each scene in each direction."""
+        b = wp.tid()
+        s = body_scene[b]
+        for c in range(3):
+            index = cell_of(scenes[s], body_position[b][c])
+            if index < lowest[s, c]:
+                wp.atomic_min(lowest, s, c, index)
+
     @wp.kernel(module="unique", enable_backward=False)
     def keys(
         scenes: wp.array(dtype=SceneRow),
         sort: wp.array(dtype=wp.int32),
+        lowest: wp.array2d(dtype=wp.int32),
         body_scene: wp.array(dtype=wp.int32),
         body_position: wp.array(dtype=t.vec3),
         key: wp.array(dtype=wp.int64),
         value: wp.array(dtype=wp.int32),
     ):
-        """Scene, then Morton code of the body's cell, 10 bits a direction, wrapping beyond 1024 cells."""
+        """Scene, then Morton code of the body's cell from the lowest on, 10 bits a direction, wrapping beyond."""
         b = wp.tid()
         s = body_scene[b]
         code = wp.int32(0)
         if sort[s] != 0:
-            cell = scalar(2.0) * scenes[s].largest_radius + scenes[s].skin
-            x = body_position[b]
             for c in range(3):
-                index = wp.int32(wp.floor(x[c] / cell)) & 1023
+                index = (cell_of(scenes[s], body_position[b][c]) - lowest[s, c]) & 1023
                 for bit in range(10):
                     code = code | (((index >> bit) & 1) << (3 * bit + c))
         else:
@@ -118,7 +136,7 @@ def order_kernels(scalar):
         if i + 1 == scenes[s].bodies + scenes[s].body_count:
             new_first[i + s + 1] = new_start[i + 1] - base
 
-    return SimpleNamespace(keys=keys, counts=counts, spheres=spheres)
+    return SimpleNamespace(corner=corner, keys=keys, counts=counts, spheres=spheres)
 
 
 @functools.cache

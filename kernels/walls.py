@@ -46,7 +46,11 @@ def wall_force_function(scalar):
 
 @functools.cache
 def analytic_wall_functions(scalar, law, losses: bool):
-    """`analytic_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes."""
+    """`analytic_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes.
+
+    Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
+    far the nearest was; `far_from_walls` tells by this whether it must look again.
+    """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
@@ -59,14 +63,21 @@ def analytic_wall_functions(scalar, law, losses: bool):
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
-    read_vec4, write_vec4 = row_functions(scalar).read_vec4, row_functions(scalar).write_vec4
+    write_vec4 = row_functions(scalar).write_vec4
     safe_normalize = vector_functions(scalar).safe_normalize
     add_to_wall = wall_force_function(scalar)
+
+    @wp.func
+    def far_from_walls(position: t.vec4, clear: t.vec4):
+        """Is a sphere beyond the reach of every fixed wall, by where it was when it last came to look at them?"""
+        room = clear[3] - position[3]
+        return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room
 
     @wp.func
     def analytic_walls(
         i: wp.int32,
         scene: SceneRow,
+        far: wp.bool,
         part: wp.int32,
         dt: scalar,
         position: t.vec4,
@@ -91,12 +102,6 @@ def analytic_wall_functions(scalar, law, losses: bool):
         total_force = t.vec3()
         total_moment = t.vec3()
         total_lost = wp.float64(0.0)
-        # Where the fixed walls were last looked at, and how far the nearest was: most spheres are far from all.
-        clear = read_vec4(sphere_clear, i)
-        room = clear[3] - radius
-        far = room > scalar(0.0) and wp.length_sq(x - xyz(clear)) < room * room
-        if far and scene.still != 0:
-            return total_force, total_moment, total_lost
         nearest = scalar(wp.static(FARTHEST))
         row = scene.laws + material * scene.materials
         before = slot_touching[i]
@@ -147,7 +152,7 @@ def analytic_wall_functions(scalar, law, losses: bool):
             write_vec4(sphere_clear, i, pack(x, scalar(0.99) * nearest))  # the rest is room for rounding
         return total_force, total_moment, total_lost
 
-    return SimpleNamespace(Segment=Segment, analytic_walls=analytic_walls)
+    return SimpleNamespace(Segment=Segment, far_from_walls=far_from_walls, analytic_walls=analytic_walls)
 
 
 @functools.cache
@@ -162,7 +167,8 @@ def wall_kernel(scalar, law, losses: bool):
     Parameters = law(scalar).Parameters
     analytic = analytic_wall_functions(scalar, law, losses)
     Segment = analytic.Segment
-    analytic_walls = analytic.analytic_walls
+    far_from_walls, analytic_walls = analytic.far_from_walls, analytic.analytic_walls
+    read_vec4 = row_functions(scalar).read_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wall_contacts(
@@ -197,11 +203,14 @@ def wall_kernel(scalar, law, losses: bool):
             s = sphere_scene[i]
             if flags[s, HALTED] != 0:
                 continue
+            position = read_vec4(sphere_position, i)
+            far = far_from_walls(position, read_vec4(sphere_clear, i))
+            if far and scenes[s].still != 0:
+                continue
             wall_force, wall_moment, lost = analytic_walls(
-                i, scenes[s], part, scalar(clock[s, DT_PREVIOUS]), sphere_position[i], sphere_velocity[i],
-                sphere_spin[i], sphere_material[i], parameters, walls, segments, wall_position, wall_normal,
-                wall_velocity, wall_spin, clock[s, FORCE_SCALE], sphere_clear, slot_touching, slot_history,
-                step_force,
+                i, scenes[s], far, part, scalar(clock[s, DT_PREVIOUS]), position, sphere_velocity[i], sphere_spin[i],
+                sphere_material[i], parameters, walls, segments, wall_position, wall_normal, wall_velocity, wall_spin,
+                clock[s, FORCE_SCALE], sphere_clear, slot_touching, slot_history, step_force,
             )  # fmt: skip
             force[i] = force[i] + wall_force
             moment[i] = moment[i] + wall_moment

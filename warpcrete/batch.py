@@ -27,7 +27,9 @@ from .state import State, pair_types
 from .surfaces import Surfaces
 
 MOST_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
-LARGEST_GRAPH = 64  # steps of one graph
+LARGEST_GRAPH = {"cpu": 8, "cuda": 64}
+"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
+CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
 BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
 
 
@@ -83,7 +85,8 @@ class Batch:
         self.rechunked: set[int] = set()
         """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
         self._since_build = 0
-        self._between_builds = LARGEST_GRAPH
+        self._largest_graph = LARGEST_GRAPH["cuda" if self.is_cuda else "cpu"]
+        self._between_builds = 64
         self.goals = np.zeros(self.count, dtype=int)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
@@ -322,12 +325,17 @@ class Batch:
             # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
             expected = self._between_builds - self._since_build
             count = min(count, expected if expected > 0 else 16)
+        else:
+            count = min(count, CPU_LAUNCH)
         before = int(flags[0, int(STEPS)])
         self.changed()
-        while count > 0:
-            size = min(1 << (count.bit_length() - 1), LARGEST_GRAPH)
-            self._replay(size)
-            count -= size
+        sizes = [self._largest_graph] * (count // self._largest_graph)
+        sizes += [
+            1 << bit
+            for bit in reversed(range(self._largest_graph.bit_length()))
+            if count % self._largest_graph >> bit & 1
+        ]
+        self._replay(sizes)
         self.publish()
         flags = self.host_flags().copy()
         self._since_build += int(flags[0, int(STEPS)]) - before
@@ -345,17 +353,25 @@ class Batch:
                 self._publish = publish_stage(self)
             self._publish()
 
-    def _replay(self, size: int) -> None:
-        if size not in self._graphs:
+    def _replay(self, sizes: list[int]) -> None:
+        for size in set(sizes) - set(self._graphs):
             self._graphs[size] = self._capture(size)
-        graphs = self._graphs[size]
+        flags = np.empty((0, 0)) if self.is_cuda else self.host_flags()
+
+        def replay(part: int) -> None:
+            for size in sizes:
+                wp.capture_launch(self._graphs[size][part])
+                # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
+                if not self.is_cuda and flags[:, int(HALTED)].all():
+                    return
+
         if self._pool is None:
-            wp.capture_launch(graphs[0])
+            replay(0)
             return
         # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
         # reads again.
         with put_off():
-            running = [self._pool.submit(wp.capture_launch, graph) for graph in graphs]
+            running = [self._pool.submit(replay, part) for part in range(self.threads)]
             wait(running)
         for one in running:
             one.result()

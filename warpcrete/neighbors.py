@@ -234,9 +234,10 @@ class NeighborLists:
         keys = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
         order = wp.zeros(2 * bodies, dtype=wp.int32, device=device)
         sort = wp.array(due.astype(np.int32), dtype=wp.int32, device=device)
-        wp.launch(
-            kernels.keys, dim=bodies, inputs=[b.scenes, sort, b.body_scene, b.body_position, keys, order], device=device
-        )
+        lowest = wp.full((b.count, 3), 2**30, dtype=wp.int32, device=device)
+        places = [b.body_scene, b.body_position]
+        wp.launch(kernels.corner, dim=bodies, inputs=[b.scenes, *places, lowest], device=device)
+        wp.launch(kernels.keys, dim=bodies, inputs=[b.scenes, sort, lowest, *places, keys, order], device=device)
         wp.utils.radix_sort_pairs(keys, order, bodies, end_bit=30 + int(b.count).bit_length())
         order = order[:bodies]
         count = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
