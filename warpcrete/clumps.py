@@ -103,6 +103,9 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
+    if np.ptp(moments) < 1e-4 * moments.mean():
+        # As round as the integration can tell: such a body turns like a sphere, which costs less.
+        moments = np.full(3, moments.mean())
     offsets = (centres - centroid) @ axes / size
     return ClumpTemplate(name, offsets, radii / size, moments / (volume * size**2))
 

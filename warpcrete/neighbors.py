@@ -112,8 +112,6 @@ class NeighborLists:
             launches["fill faces"]()
         launches["drift"]()
         launches["freshen"]()
-        if b.features.analytic:
-            b.sphere_clear.zero_()
         b.changed()
         b.built()
 
@@ -256,6 +254,8 @@ class NeighborLists:
             for name in names:
                 if name not in ("force", "moment") and getattr(b, name).size:
                     _permute(getattr(b, name), places)
+        if b.features.analytic:
+            _permute(b.sphere_clear, old_place)
         b.split()
 
 
