@@ -9,7 +9,6 @@ with --study the stepping time of the paper's 27 cases and its four units, run t
 
 import argparse
 import time
-from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -28,15 +27,16 @@ STUDY = {
     "hydration": [0.0, 0.05, 0.1, 0.2],
     "friction": [0.05, 0.3],
 }
+OWN = {"diameter": 0.150, "elbow_radius": 0.5, "velocity": 0.3, "size_max": 20e-3, "hydration": 0.0, "friction": 0.05}
+"""Values that all other cases have."""
 
 
 def cases() -> list[dict]:
-    """Parameters of the whole study: 27 cases and the four units."""
-    base = dict(unit="elbow-down", shapes="reference")
+    """Parameters of the whole study: 27 cases and the four units, of which those on unit D's own values are one."""
+    base = dict(unit="elbow-down", shapes="reference", **OWN)
     found = [base | {name: value} for name, values in STUDY.items() for value in values]
-    return found + [
-        dict(unit=unit, shapes="reference") for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")
-    ]
+    found += [base | {"unit": unit} for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")]
+    return list({tuple(case.items()): case for case in found}.values())
 
 
 def prepared(count: int, device: str) -> list[Simulation]:
@@ -63,10 +63,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--study", action="store_true")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--skip", nargs="*", default=[], help="parameters of the study to leave out, as hydration")
     arguments = parser.parse_args()
     if arguments.study:
-        whole_study(arguments.device)
+        whole_study(arguments.device, [c for c in cases() if all(c[name] == OWN[name] for name in arguments.skip)])
         return
     print("| cases | spheres | time of a step [us] | over one case | sphere-steps/s [million] |")
     print("|---|---|---|---|---|")
@@ -100,9 +100,9 @@ def _steps(stepper, count: int):
         count -= 100
 
 
-def whole_study(device: str) -> None:
+def whole_study(device: str, cases: list[dict]) -> None:
     """Run all cases to their ends and print what they came to."""
-    simulations = [Simulation(scenes.pipe(**case), device=device, threads=1) for case in cases()]
+    simulations = [Simulation(scenes.pipe(**case), device=device, threads=1) for case in cases]
     begun = time.perf_counter()
     outcomes = run_together(simulations)
     took = time.perf_counter() - begun
@@ -113,11 +113,11 @@ def whole_study(device: str) -> None:
             running[id(simulation.stepper.batch)] = max(
                 running.get(id(simulation.stepper.batch), 0.0), simulation._spent.get("running", 0.0)
             )
-    for case, outcome in zip(cases(), outcomes):
+    for case, outcome in zip(cases, outcomes):
         if isinstance(outcome, Run):
             r = outcome.result
             print(
-                case,
+                {name: value for name, value in case.items() if OWN.get(name) != value},
                 f"peak {r['peak_pressure']['value'] / 1e3:.1f} plateau {r['plateau_pressure']['value'] / 1e3:.1f} kPa,"
                 f" {r['steps']} steps, {r['spheres']} spheres",
             )
