@@ -264,7 +264,7 @@ def neighbor_kernels(scalar, half: bool, history: bool, bonds: bool):
                     if close:
                         if holds(i, j, radius, position_j[3], first, last) and sphere_body[j] != body:
                             if wp.static(write):
-                                if wp.static(not half) or row + found < room[1]:
+                                if wp.static(not half) or (row >= room[0] and row + found < room[1]):
                                     # Rows ascend, whatever the order in which the grid finds neighbours: the sums
                                     # of a step then do not depend on the grid, which scenes of a batch share.
                                     k = row + found

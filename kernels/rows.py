@@ -28,8 +28,8 @@ WRITE_4F = """
 """
 READ_4D = """
 #if defined(__CUDA_ARCH__)
-    const double2 low = reinterpret_cast<const double2*>(rows.data)[2 * i];
-    const double2 high = reinterpret_cast<const double2*>(rows.data)[2 * i + 1];
+    const double2 low = reinterpret_cast<const double2*>(rows.data)[2 * size_t(i)];
+    const double2 high = reinterpret_cast<const double2*>(rows.data)[2 * size_t(i) + 1];
     return wp::vec_t<4, double>(low.x, low.y, high.x, high.y);
 #else
     return rows.data[i];
@@ -37,8 +37,8 @@ READ_4D = """
 """
 WRITE_4D = """
 #if defined(__CUDA_ARCH__)
-    reinterpret_cast<double2*>(rows.data)[2 * i] = make_double2(value[0], value[1]);
-    reinterpret_cast<double2*>(rows.data)[2 * i + 1] = make_double2(value[2], value[3]);
+    reinterpret_cast<double2*>(rows.data)[2 * size_t(i)] = make_double2(value[0], value[1]);
+    reinterpret_cast<double2*>(rows.data)[2 * size_t(i) + 1] = make_double2(value[2], value[3]);
 #else
     rows.data[i] = value;
 #endif

@@ -152,8 +152,9 @@ def vector_functions(scalar):
         if wp.abs(shrink) < scalar(1.0e-5):
             # 1 / sqrt(1 - shrink), to the last digit of double precision.
             return u * (one + shrink * (scalar(0.5) + shrink * (scalar(0.375) + shrink * scalar(0.3125))))
-        if shrink < one:
-            u = u / wp.sqrt(one - shrink)
+        after = wp.length_sq(u)
+        if after > scalar(0.0):
+            u = u * wp.sqrt(square / after)
         return u
 
     return SimpleNamespace(xyz=xyz, pack=pack, safe_normalize=safe_normalize, rotated_with_normal=rotated_with_normal)

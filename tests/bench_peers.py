@@ -173,14 +173,18 @@ def prepared(kind: str, count: int) -> Start:
     stepper = stepper_of(scene, "float64", 1)
     if kind == "bonded":
         stepper.bond(BONDS, 1)
-    stepper.take(1)
     state = stepper.state
+    places, radii = np.split(state.sphere_position.numpy().copy(), [3], axis=1)
+    bodies = state.sphere_body.numpy().copy()
+    stepper.take(1)
     touching = contact_sums(stepper.model, state).contacts if kind != "bonded" else state.pair_total
-    places, radii = np.split(state.sphere_position.numpy(), [3], axis=1)
-    stiffness, mass = MODULUS * np.pi * DIAMETER / 4, DENSITY * np.pi / 6 * DIAMETER**3
+    radius = radii.mean()
+    stiffness, mass = MODULUS * np.pi * radius / 2, DENSITY * np.pi * 4 / 3 * radius**3
+    if kind == "clumps":
+        mass = DENSITY * np.pi / 6 * DIAMETER**3
     case = dict(
-        kind=kind, positions=places, radii=radii[:, 0], bodies=state.sphere_body.numpy(), lower=lower, upper=upper,
-        stiffness=stiffness * (radii.mean() / (DIAMETER / 2)), density=DENSITY, friction=FRICTION, step=STEP,
+        kind=kind, positions=places, radii=radii[:, 0], bodies=bodies, lower=lower, upper=upper,
+        stiffness=stiffness, density=DENSITY, friction=FRICTION, step=STEP,
         damping=0.0 if kind == "bonded" else 2 * DAMPING * np.sqrt(stiffness / (mass / 2)),
     )  # fmt: skip
     return Start(scene, case, touching / len(places))

@@ -1,4 +1,4 @@
-"""Clump templates: rigid bodies made of overlapping spheres, and their exact union mass properties."""
+"""Clump templates: rigid bodies made of overlapping spheres; in their mass each overlap counts once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ClumpTemplate:
     radii: np.ndarray
     """Shape (k,), in sizes."""
     inertia: np.ndarray
-    """Principal moments of inertia, shape (3,), over mass times size squared."""
+    """Principal moments of inertia, shape (3,), over mass times size squared; equal where they differ by under 1e-4."""
 
     @property
     def extent(self) -> float:

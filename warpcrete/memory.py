@@ -39,6 +39,10 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     estimate = 4 * wp.types.type_size_in_bytes(types(model.scalar).mat33)
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
+    if model.features.half_list:
+        listing += 4 * listed + 4  # what a search finds, and where
+    if model.features.analytic:
+        listing += 4 * scalar  # room to the walls
     body = size(State.BODY_ARRAYS) + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size(State.SPHERE_ARRAYS) / spheres + listing + estimate + probes
 

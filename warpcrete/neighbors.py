@@ -120,17 +120,19 @@ class NeighborLists:
         b = self.batch
         if b.threads > 1:
             places = self._centre.numpy()
+            nowhere = [np.full(3, np.inf), np.full(3, -np.inf)]
             chunks = [places[first:last] for first, last in pairwise(b.sphere_chunks.tolist())]
-            self._boxes.assign(np.array([[c.min(0), c.max(0)] if len(c) else [np.inf, -np.inf] for c in chunks]))
+            self._boxes.assign(np.array([[c.min(0), c.max(0)] if len(c) else nowhere for c in chunks]))
         while True:
             launches = self._launches(sort)
             b.in_parts(launches["search"])
             wanted = self._wanted.numpy().astype(np.int64)
-            if np.all(wanted <= self._room):
+            if np.all((wanted >= 0) & (wanted <= self._room)):
                 return launches
-            if wanted.sum() > MOST_ENTRIES:
-                raise CapacityError(f"neighbour list of {b.spheres} spheres has more than 2^31 pairs")
-            self._room = np.maximum(self._room, wanted + wanted // 4)
+            room = np.maximum(self._room, wanted + wanted // 4)
+            if np.any(wanted < 0) or room.sum() > MOST_ENTRIES:
+                raise CapacityError(f"neighbour list of {b.spheres} spheres has more pairs than 32 bits can count")
+            self._room = room
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()
 
