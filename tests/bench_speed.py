@@ -22,7 +22,7 @@ from warpcrete import clumps
 from warpcrete.batch import default_threads
 from warpcrete.memory import bytes_per_body, memory_free
 from warpcrete.model import build_model, find_device
-from warpcrete.probes import contact_sums
+from warpcrete.probes import body_sums, contact_sums
 from warpcrete.scene import Bonds, MeshWall, Scene
 from warpcrete.state import State, placed_bodies
 from warpcrete.stepper import Stepper
@@ -128,11 +128,21 @@ def features_table(arguments) -> None:
     for _ in range(arguments.repeats):
         for name, stepper in steppers.items():
             found[name].append(1e9 / rate(stepper, steps, 1))
-    first = None
+    first = float(np.median(found["spheres, no friction (no rotation, no history)"]))
     for name, values in found.items():
         value = float(np.median(values))
-        first = first or value
         print(f"| {name} | {value:.1f} | {value / first:.2f} |", flush=True)
+    sampled = steppers["+ friction, rotation, history"]
+    plain = float(np.median(found["+ friction, rotation, history"]))
+    took = []
+    for _ in range(arguments.repeats):
+        begun = time.perf_counter()
+        body_sums(sampled.model, sampled.state)
+        contact_sums(sampled.model, sampled.state)
+        took.append(1e9 * (time.perf_counter() - begun) / sampled.state.sphere_count)
+    sample = float(np.median(took))
+    print(f"| + probes every 100 steps | {plain + sample / 100:.1f} | {(plain + sample / 100) / first:.2f} |")
+    print(f"\nOne sample of the probes takes as long as {sample / plain:.1f} steps. Recorders: --recording.")
     device = find_device(arguments.device)
     print(f"\n{device.name}, {count} bodies, one thread, float32; medians of {arguments.repeats}, interleaved")
 
@@ -165,6 +175,7 @@ def recording_cost(arguments) -> None:
 
     scene = scenes.pipe(travel=0.15, settle=0.2, sample_interval=0.02)
     shares: dict[str, list[float]] = {"Rerun": [], "USD": []}
+    plain = 0.0
     for _ in range(arguments.repeats):
         with tempfile.TemporaryDirectory() as folder:
             recorders = {

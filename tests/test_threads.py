@@ -8,12 +8,13 @@ from conftest import by_id, pair_history
 from test_contacts import flowing_scene, small_packing
 
 from warpcrete import scenes
+from warpcrete.clumps import ClumpTemplate
 from warpcrete.errors import SceneError
 from warpcrete.model import build_model, find_device
 from warpcrete.probes import body_sums, contact_sums
-from warpcrete.scene import Bonds, TimeStep
+from warpcrete.scene import Bodies, Bonds, Scene, TimeStep
 from warpcrete.simulation import Simulation
-from warpcrete.state import State
+from warpcrete.state import State, placed_bodies
 from warpcrete.stepper import Stepper
 
 SMALL = dict(
@@ -53,6 +54,25 @@ def test_any_number_of_threads_moves_the_same(packing, threads):
         ours = getattr(contact_sums(many.model, many.state), quantity)
         assert ours == pytest.approx(getattr(contact_sums(one.model, one.state), quantity), rel=1e-6), quantity
     assert many.estimate() == pytest.approx(one.estimate(), rel=1e-6)
+
+
+def test_a_chunk_may_be_empty():
+    """A clump of more spheres than a chunk should have, last in order, leaves the chunk after it none."""
+    random = np.random.default_rng(1)
+    large = ClumpTemplate("cloud", random.uniform(-0.3, 0.3, (300, 3)), np.full(300, 0.1), np.full(3, 0.05))
+    x = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3) * 0.0099
+    scene = Scene(
+        name="cloud", duration=1.0, gravity=(0, 0, 0),
+        bodies=(Bodies(positions=x, sizes=0.01), Bodies(positions=[[0.2, 0.2, 0.2]], sizes=0.05, template=large)),
+    )  # fmt: skip
+    model = build_model(scene, find_device("cpu"), "float64")
+    places = []
+    for threads in (1, 2):
+        stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(), threads=threads)
+        stepper.take(20)
+        places.append(by_id(stepper.state, "body_position"))
+    assert np.diff(stepper.batch.sphere_chunks).tolist() == [364, 0]
+    assert np.abs(places[0] - places[1]).max() < 1e-12
 
 
 def test_a_number_of_threads_gives_the_same_bits_every_time(packing):

@@ -36,6 +36,36 @@ def list_scenes() -> None:
         click.echo(f"{name:12s} {inspect.getdoc(module).splitlines()[0]}")  # type: ignore[union-attr]
 
 
+@cli.command()
+@click.option("--concrete", default="no1", show_default=True, help="no1, no2 or no3 of Xu, Li & Jiang 2021")
+@click.option("--density", type=float, help="[kg/m3]; these five replace the named concrete's")
+@click.option("--viscosity", type=float, help="plastic viscosity [Pa s]")
+@click.option("--yield-stress", type=float, help="[Pa]")
+@click.option("--slip-viscosity", type=float, help="[Pa s/m]")
+@click.option("--slip-yield", type=float, help="[Pa]")
+@click.option("--radius", default=0.05, show_default=True, help="of the pipe, or half the planes' distance [m]")
+@click.option("--length", default=0.3, show_default=True, help="[m]")
+@click.option("--slip-thickness", default=0.0, show_default=True, help="[m]")
+@click.option("--rise", default=1.0, show_default=True, help="1 upright, 0 level")
+@click.option("--flow", multiple=True, type=float, help="[m3/s]; may be repeated  [default: 0.0015]")
+@click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
+def theory(concrete: str, flow: tuple[float, ...], pressure: tuple[float, ...], **values: Any) -> None:
+    """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
+    import dataclasses
+
+    from . import theory as flows
+    from .errors import one_of
+
+    one_of("concrete", concrete, flows.CONCRETES)
+    names = {f.name for f in dataclasses.fields(flows.Line)}
+    line = flows.Line(**{k: values.pop(k) for k in list(values) if k in names})
+    given = {k: v for k, v in values.items() if v is not None}
+    mix = flows.CONCRETES[concrete]
+    if given:
+        mix = dataclasses.replace(mix, name=f"{concrete}, changed", **given)
+    click.echo(flows.table(mix, line, flow or (() if pressure else (1.5e-3,)), pressure))
+
+
 class RunGroup(click.Group):
     """Sub-commands are made from the scenes' parameters, or from a saved scene.json."""
 
