@@ -10,9 +10,9 @@ import warp as wp
 
 from .batch import MOST_ENTRIES, Batch
 from .errors import CapacityError
+from .kernels.mesh_walls import candidate_kernels
 from .kernels.neighbors import invert, iota, neighbor_kernels, order_kernels, permute_kernel
 from .kernels.types import STALE, types
-from .kernels.walls import candidate_kernels
 from .stages import Stage, tasks
 from .state import State, pair_types
 

@@ -8,10 +8,11 @@ import warp as wp
 
 from .kernels.bodies import clump_kernel, publish_kernel, sphere_kernel, tick_kernel
 from .kernels.contacts import contact_kernel
+from .kernels.mesh_walls import mesh_kernel
 from .kernels.threads import barrier
 from .kernels.types import SPAN
 from .kernels.wall_motion import advance_kernel
-from .kernels.walls import mesh_kernel, wall_kernel
+from .kernels.walls import wall_kernel
 
 if TYPE_CHECKING:
     from .batch import Batch

@@ -11,8 +11,8 @@ import warp as wp
 from .clumps import ClumpTemplate, sphere
 from .errors import refuse
 from .kernels.contacts import ALL_TOUCHED
+from .kernels.mesh_walls import MESH_SLOTS
 from .kernels.types import CLOCK, DT, FLAGS, FORCE_SCALE, STABLE, STEPS, TIME, types
-from .kernels.walls import MESH_SLOTS
 from .model import Model
 from .scene import Scene
 
