@@ -1,0 +1,356 @@
+"""Conjugate gradients for the two kinds of equations of the moving particle method, matrix-free but for pair weights.
+
+A row is: diagonal times own value, less the pair coefficients times the neighbours' values; rows of velocities may
+also resist motion along the wall. The preconditioner is the diagonal. A CPU runs a whole solve in one kernel, a thread
+for each chunk of rows, with barriers where sums are formed; a GPU runs four kernels an iteration inside a loop of a
+CUDA graph. Sums are formed in the same order every time.
+"""
+
+import functools
+
+import warp as wp
+
+from .mps_types import FAILED, HALTED, fluid_struct, mps_functions, mps_types, row_place
+from .sums import keep, total
+from .threads import meet
+
+# Slots of the outcome of a solve.
+ITERATIONS = wp.constant(0)
+BEFORE = wp.constant(1)  # norm of the residual at the start
+AFTER = wp.constant(2)  # and at the end
+OUTCOME = 4
+
+
+@functools.cache
+def solver_types(scalar, dimensions: int, vector: bool):
+    """What a row of the solution is, and its inner product."""
+    t = mps_types(scalar, dimensions)
+    if vector:
+
+        @wp.func
+        def inner(a: t.vec, b: t.vec) -> wp.float64:
+            return wp.float64(wp.dot(a, b))
+
+        return t.vec, inner
+
+    @wp.func
+    def product(a: scalar, b: scalar) -> wp.float64:
+        return wp.float64(a * b)
+
+    return scalar, product
+
+
+@functools.cache
+def serial_solver(scalar, dimensions: int, vector: bool):
+    """Kernel of one task a thread: the whole solve over rows `first` to `end`."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    Flow = fluid_struct(scalar)
+    place = row_place(True)
+    value, inner = solver_types(scalar, dimensions, vector)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def solve(
+        flow: Flow,
+        part: wp.int32,
+        parts: wp.int32,
+        first: wp.int32,
+        end: wp.int32,
+        near_capacity: wp.int32,
+        what: wp.int32,
+        tolerance: wp.float64,
+        enough: wp.float64,
+        most: wp.int32,
+        gate: wp.array(dtype=wp.int32),
+        flags: wp.array(dtype=wp.int32),
+        near_count: wp.array(dtype=wp.int32),
+        near: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=t.vec),
+        free: wp.array(dtype=wp.int32),
+        coefficient: wp.array(dtype=scalar),
+        diagonal: wp.array(dtype=scalar),
+        drag: wp.array(dtype=scalar),
+        r: wp.array(dtype=value),
+        p: wp.array(dtype=value),
+        q: wp.array(dtype=value),
+        x: wp.array(dtype=value),
+        partial: wp.array(dtype=wp.float64),
+        outcome: wp.array(dtype=wp.float64),
+        history: wp.array(dtype=wp.float64),
+    ):
+        if flags[HALTED] != 0:
+            return
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for i in range(first, end):
+            z = value(scalar(0.0))
+            if wp.static(vector):
+                z = r[i] / (diagonal[i] + drag[i])
+            elif free[i] == 0 and diagonal[i] > scalar(0.0):
+                z = r[i] / diagonal[i]
+            p[i] = z
+            rz += inner(r[i], z)
+            rr += inner(r[i], r[i])
+        partial[part] = rz
+        partial[parts + part] = rr
+        meet(gate, parts)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for k in range(parts):
+            rz += partial[k]
+            rr += partial[parts + k]
+        start = wp.sqrt(rr)
+        goal = wp.max(tolerance * tolerance * rr, enough * enough)
+        count = wp.int32(0)
+        while rr > goal and count < most:
+            pq = wp.float64(0.0)
+            for i in range(first, end):
+                own = p[i]
+                sum = diagonal[i] * own
+                for k in range(near_count[i]):
+                    at = place(i, k, flow.count, near_capacity)
+                    sum -= coefficient[at] * p[near[at]]
+                if wp.static(vector):
+                    if drag[i] > scalar(0.0):
+                        n = f.outward(position[i])
+                        sum += drag[i] * (own - wp.dot(n, own) * n)
+                elif free[i] != 0:
+                    sum = value(scalar(0.0))
+                q[i] = sum
+                pq += inner(own, sum)
+            partial[2 * parts + part] = pq
+            meet(gate, parts)
+            pq = wp.float64(0.0)
+            for k in range(parts):
+                pq += partial[2 * parts + k]
+            if pq <= wp.float64(0.0):
+                break
+            alpha = scalar(rz / pq)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for i in range(first, end):
+                x[i] = x[i] + alpha * p[i]
+                left = r[i] - alpha * q[i]
+                r[i] = left
+                z = value(scalar(0.0))
+                if wp.static(vector):
+                    z = left / (diagonal[i] + drag[i])
+                elif free[i] == 0 and diagonal[i] > scalar(0.0):
+                    z = left / diagonal[i]
+                q[i] = z
+                rz_after += inner(left, z)
+                rr += inner(left, left)
+            partial[part] = rz_after
+            partial[parts + part] = rr
+            meet(gate, parts)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for k in range(parts):
+                rz_after += partial[k]
+                rr += partial[parts + k]
+            beta = scalar(rz_after / rz)
+            rz = rz_after
+            for i in range(first, end):
+                p[i] = q[i] + beta * p[i]
+            if part == 0 and count < history.shape[0]:
+                history[count] = wp.sqrt(rr)
+            count += 1
+            meet(gate, parts)
+        if part == 0:
+            outcome[ITERATIONS] = wp.float64(count)
+            outcome[BEFORE] = start
+            outcome[AFTER] = wp.sqrt(rr)
+            if not rr <= goal:
+                flags[FAILED] = what
+        # Nobody may look at the flags before all have left the loop.
+        meet(gate, parts)
+        if part == 0 and flags[FAILED] != 0:
+            flags[HALTED] = 1
+        meet(gate, parts)
+
+    return solve
+
+
+@functools.cache
+def parallel_solver(scalar, dimensions: int, vector: bool):
+    """Kernels `begin`, `ready`, `multiply`, `update`, `direct` and `look`, launched with whole blocks of `BLOCK` threads."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    Flow = fluid_struct(scalar)
+    place = row_place(False)
+    value, inner = solver_types(scalar, dimensions, vector)
+
+    @wp.func
+    def divided(
+        i: wp.int32,
+        r: value,
+        free: wp.array(dtype=wp.int32),
+        diagonal: wp.array(dtype=scalar),
+        drag: wp.array(dtype=scalar),
+    ) -> value:
+        if wp.static(vector):
+            return r / (diagonal[i] + drag[i])
+        else:
+            if free[i] == 0 and diagonal[i] > scalar(0.0):
+                return r / diagonal[i]
+            return value(scalar(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def begin(
+        flow: Flow,
+        blocks: wp.int32,
+        free: wp.array(dtype=wp.int32),
+        diagonal: wp.array(dtype=scalar),
+        drag: wp.array(dtype=scalar),
+        r: wp.array(dtype=value),
+        p: wp.array(dtype=value),
+        partial: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if i < flow.count:
+            z = divided(i, r[i], free, diagonal, drag)
+            p[i] = z
+            rz = inner(r[i], z)
+            rr = inner(r[i], r[i])
+        keep(partial, 0, rz)
+        keep(partial, blocks, rr)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def ready(
+        blocks: wp.int32,
+        tolerance: wp.float64,
+        enough: wp.float64,
+        flags: wp.array(dtype=wp.int32),
+        partial: wp.array(dtype=wp.float64),
+        numbers: wp.array(dtype=wp.float64),
+        outcome: wp.array(dtype=wp.float64),
+        going: wp.array(dtype=wp.int32),
+    ):
+        rz = total(partial, 0, blocks)
+        rr = total(partial, blocks, blocks)
+        if wp.tid() == 0:
+            goal = wp.max(tolerance * tolerance * rr, enough * enough)
+            numbers[0] = rz
+            numbers[1] = goal
+            going[0] = 0
+            if flags[HALTED] == 0:
+                outcome[ITERATIONS] = wp.float64(0.0)
+                outcome[BEFORE] = wp.sqrt(rr)
+                outcome[AFTER] = wp.sqrt(rr)
+                if rr > goal:
+                    going[0] = 1
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def multiply(
+        flow: Flow,
+        blocks: wp.int32,
+        near_capacity: wp.int32,
+        near_count: wp.array(dtype=wp.int32),
+        near: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=t.vec),
+        free: wp.array(dtype=wp.int32),
+        coefficient: wp.array(dtype=scalar),
+        diagonal: wp.array(dtype=scalar),
+        drag: wp.array(dtype=scalar),
+        p: wp.array(dtype=value),
+        q: wp.array(dtype=value),
+        partial: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        pq = wp.float64(0.0)
+        if i < flow.count:
+            own = p[i]
+            sum = diagonal[i] * own
+            for k in range(near_count[i]):
+                at = place(i, k, flow.count, near_capacity)
+                sum -= coefficient[at] * p[near[at]]
+            if wp.static(vector):
+                if drag[i] > scalar(0.0):
+                    n = f.outward(position[i])
+                    sum += drag[i] * (own - wp.dot(n, own) * n)
+            else:
+                if free[i] != 0:
+                    sum = value(scalar(0.0))
+            q[i] = sum
+            pq = inner(own, sum)
+        keep(partial, 2 * blocks, pq)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def update(
+        flow: Flow,
+        blocks: wp.int32,
+        free: wp.array(dtype=wp.int32),
+        diagonal: wp.array(dtype=scalar),
+        drag: wp.array(dtype=scalar),
+        numbers: wp.array(dtype=wp.float64),
+        p: wp.array(dtype=value),
+        q: wp.array(dtype=value),
+        r: wp.array(dtype=value),
+        x: wp.array(dtype=value),
+        partial: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        pq = total(partial, 2 * blocks, blocks)
+        alpha = scalar(0.0)
+        if pq > wp.float64(0.0):
+            alpha = scalar(numbers[0] / pq)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if i < flow.count:
+            x[i] = x[i] + alpha * p[i]
+            left = r[i] - alpha * q[i]
+            r[i] = left
+            z = divided(i, left, free, diagonal, drag)
+            q[i] = z
+            rz = inner(left, z)
+            rr = inner(left, left)
+        keep(partial, 0, rz)
+        keep(partial, blocks, rr)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def direct(
+        flow: Flow,
+        blocks: wp.int32,
+        p: wp.array(dtype=value),
+        q: wp.array(dtype=value),
+        partial: wp.array(dtype=wp.float64),
+        numbers: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        rz = total(partial, 0, blocks)
+        beta = scalar(rz / numbers[0])
+        if i < flow.count:
+            p[i] = q[i] + beta * p[i]
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def look(
+        blocks: wp.int32,
+        most: wp.int32,
+        what: wp.int32,
+        flags: wp.array(dtype=wp.int32),
+        partial: wp.array(dtype=wp.float64),
+        numbers: wp.array(dtype=wp.float64),
+        outcome: wp.array(dtype=wp.float64),
+        history: wp.array(dtype=wp.float64),
+        going: wp.array(dtype=wp.int32),
+    ):
+        rz = total(partial, 0, blocks)
+        rr = total(partial, blocks, blocks)
+        if wp.tid() == 0:
+            count = wp.int32(outcome[ITERATIONS])
+            if count < history.shape[0]:
+                history[count] = wp.sqrt(rr)
+            count += 1
+            outcome[ITERATIONS] = wp.float64(count)
+            outcome[AFTER] = wp.sqrt(rr)
+            numbers[0] = rz
+            if rr <= numbers[1]:
+                going[0] = 0
+            elif not (rr > numbers[1]) or count >= most:
+                going[0] = 0
+                flags[FAILED] = what
+                flags[HALTED] = 1
+
+    return begin, ready, multiply, update, direct, look

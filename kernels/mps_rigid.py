@@ -1,0 +1,123 @@
+"""Rigid groups of particles (passively moving solids, Koshizuka, Nobe & Oka 1998): coarse aggregate.
+
+Particles of a grain move as fluid does; then their mean velocity and angular momentum become those of a rigid body.
+Places follow from stored offsets, so that a grain keeps its shape for ever.
+"""
+
+import functools
+
+import warp as wp
+
+from .mps_types import HALTED, fluid_struct, mps_types
+from .types import types
+
+
+@functools.cache
+def rigid_kernels(scalar, dimensions: int):
+    """`velocities` before particles advance and `places` after it; a thread a grain."""
+    t = mps_types(scalar, dimensions)
+    vec3, mat33, quat = types(scalar).vec3, types(scalar).mat33, types(scalar).quat
+    Flow = fluid_struct(scalar)
+    flat = dimensions == 2
+
+    @wp.func
+    def raised(v: t.vec) -> vec3:
+        """A vector in three dimensions; a plane's is x and z."""
+        if wp.static(flat):
+            return vec3(v[0], scalar(0.0), v[1])
+        else:
+            return vec3(v[0], v[1], v[wp.static(dimensions - 1)])
+
+    @wp.func
+    def lowered(v: vec3) -> t.vec:
+        if wp.static(flat):
+            return t.vec(v[0], v[2])
+        else:
+            return t.vec(v)
+
+    @wp.func
+    def turned(m: t.mat, angle: vec3) -> t.mat:
+        """A rotation, turned further by a small angle."""
+        size = wp.length(angle)
+        if size == scalar(0.0):
+            return m
+        if wp.static(flat):
+            # About y: z turns towards x.
+            s, c = wp.sin(angle[1]), wp.cos(angle[1])
+            return t.mat(c, s, -s, c) * m
+        else:
+            return wp.quat_to_matrix(wp.quat_from_axis_angle(angle / size, size)) * m
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def velocities(
+        flow: Flow,
+        flags: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=t.vec),
+        velocity: wp.array(dtype=t.vec),
+        moved: wp.array(dtype=t.vec),
+        middle: wp.array(dtype=t.vec),
+        spin: wp.array(dtype=vec3),
+    ):
+        if flags[HALTED] != 0:
+            return
+        g = wp.tid()
+        count = scalar(first[g + 1] - first[g])
+        centre = t.vec()
+        mean = t.vec()
+        aside = t.vec()
+        for i in range(first[g], first[g + 1]):
+            centre += position[i]
+            mean += velocity[i]
+            aside += moved[i]
+        centre = centre / count
+        mean = mean / count
+        aside = aside / count
+        momentum = vec3()
+        inertia = mat33()
+        for i in range(first[g], first[g + 1]):
+            r = raised(position[i] - centre)
+            momentum += wp.cross(r, raised(velocity[i] - mean))
+            inertia += wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
+        turn = vec3()
+        if wp.static(flat):
+            if inertia[1, 1] > scalar(0.0):
+                turn = vec3(scalar(0.0), momentum[1] / inertia[1, 1], scalar(0.0))
+        else:
+            size = wp.trace(inertia) / scalar(3.0)
+            if wp.determinant(inertia) > scalar(1.0e-6) * size * size * size:
+                turn = wp.inverse(inertia) * momentum
+        for i in range(first[g], first[g + 1]):
+            velocity[i] = mean + lowered(wp.cross(turn, raised(position[i] - centre)))
+            moved[i] = aside
+        middle[g] = centre
+        spin[g] = turn
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def places(
+        flow: Flow,
+        flags: wp.array(dtype=wp.int32),
+        first: wp.array(dtype=wp.int32),
+        offset: wp.array(dtype=t.vec),
+        middle: wp.array(dtype=t.vec),
+        spin: wp.array(dtype=vec3),
+        turn: wp.array(dtype=t.mat),
+        position: wp.array(dtype=t.vec),
+        rounding: wp.array(dtype=t.vec),
+    ):
+        if flags[HALTED] != 0:
+            return
+        g = wp.tid()
+        turn[g] = turned(turn[g], flow.dt * spin[g])
+        # The middle goes where its particles went on average; what a wall stopped stops the grain.
+        step = t.vec()
+        for i in range(first[g], first[g + 1]):
+            step += position[i] - rounding[i] - middle[g]
+        centre = middle[g] + step / scalar(first[g + 1] - first[g])
+        for i in range(first[g], first[g + 1]):
+            target = centre + turn[g] * offset[i]
+            position[i] = target
+            rounding[i] = target - centre - turn[g] * offset[i]
+        middle[g] = centre
+
+    return velocities, places

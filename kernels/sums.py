@@ -1,0 +1,62 @@
+"""Sums over all rows that are the same to the bit every time."""
+
+import functools
+
+import warp as wp
+
+BLOCK = 256
+"""Threads of a CUDA block, which forms one partial sum."""
+
+
+@wp.func
+def keep(partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
+    """Add up what the threads of a block bring, into `partial[first + block]`. All of them must call."""
+    whole = wp.tile_sum(wp.tile(own))
+    sum = whole[0]
+    if wp.tid() % BLOCK == 0:
+        partial[first + wp.tid() / BLOCK] = sum
+
+
+@wp.func
+def total(partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
+    """Sum of the partial sums of all blocks, for every thread of a block. All of them must call."""
+    own = wp.float64(0.0)
+    for k in range(wp.tid() % BLOCK, blocks, BLOCK):
+        own += partial[first + k]
+    whole = wp.tile_sum(wp.tile(own))
+    return whole[0]
+
+
+@functools.cache
+def scale_kernels(scalar, serial: bool):
+    """Factor that gives weights a wanted sum: one kernel of one task on a CPU, two of whole blocks on a GPU."""
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def alone(
+        count: wp.int32, wanted: wp.float64, weight: wp.array(dtype=scalar), factor: wp.array(dtype=wp.float64)
+    ):
+        sum = wp.float64(0.0)
+        for i in range(count):
+            sum += wp.float64(weight[i])
+        factor[0] = wp.where(sum > wp.float64(0.0), wanted / sum, wp.float64(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def gather(count: wp.int32, weight: wp.array(dtype=scalar), partial: wp.array(dtype=wp.float64)):
+        i = wp.tid()
+        own = wp.float64(0.0)
+        if i < count:
+            own = wp.float64(weight[i])
+        keep(partial, 0, own)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def divide(
+        blocks: wp.int32,
+        wanted: wp.float64,
+        partial: wp.array(dtype=wp.float64),
+        factor: wp.array(dtype=wp.float64),
+    ):
+        sum = total(partial, 0, blocks)
+        if wp.tid() == 0:
+            factor[0] = wp.where(sum > wp.float64(0.0), wanted / sum, wp.float64(0.0))
+
+    return (alone,) if serial else (gather, divide)
