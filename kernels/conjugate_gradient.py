@@ -173,7 +173,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def parallel_solver(scalar, dimensions: int, vector: bool):
-    """Kernels `begin`, `ready`, `multiply`, `update`, `direct` and `look`, launched with whole blocks of `BLOCK` threads."""
+    """Kernels `begin`, `ready`, `multiply`, `update`, `direct` and `look`, launched with whole blocks of threads."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = fluid_struct(scalar)

@@ -1,9 +1,9 @@
 """Operators of the moving particle method: what a step computes from places and velocities, apart from its solves.
 
 Gradient and divergence are exact for linear fields (weighted least squares over the neighbours); the Laplacian is the
-pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the dimensions
-over the sum of the gradient's weights, which makes it exact for quadratics wherever neighbours lie evenly around; a pair
-takes the mean of both, so that what one gains the other loses.
+pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the
+dimensions over the sum of the gradient's weights, which makes it exact for quadratics wherever neighbours lie evenly
+around; a pair takes the mean of both, so that what one gains the other loses.
 """
 
 import functools

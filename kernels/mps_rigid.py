@@ -16,7 +16,7 @@ from .types import types
 def rigid_kernels(scalar, dimensions: int):
     """`velocities` before particles advance and `places` after it; a thread a grain."""
     t = mps_types(scalar, dimensions)
-    vec3, mat33, quat = types(scalar).vec3, types(scalar).mat33, types(scalar).quat
+    vec3, mat33 = types(scalar).vec3, types(scalar).mat33
     Flow = fluid_struct(scalar)
     flat = dimensions == 2
 

@@ -28,17 +28,22 @@ def total(partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32
 
 
 @functools.cache
-def scale_kernels(scalar, serial: bool):
-    """Factor that gives weights a wanted sum: one kernel of one task on a CPU, two of whole blocks on a GPU."""
+def serial_scale(scalar):
+    """Factor that gives weights a wanted sum, on a CPU: a kernel of one task."""
 
     @wp.kernel(enable_backward=False, module="unique")
-    def alone(
-        count: wp.int32, wanted: wp.float64, weight: wp.array(dtype=scalar), factor: wp.array(dtype=wp.float64)
-    ):
+    def alone(count: wp.int32, wanted: wp.float64, weight: wp.array(dtype=scalar), factor: wp.array(dtype=wp.float64)):
         sum = wp.float64(0.0)
         for i in range(count):
             sum += wp.float64(weight[i])
         factor[0] = wp.where(sum > wp.float64(0.0), wanted / sum, wp.float64(0.0))
+
+    return alone
+
+
+@functools.cache
+def parallel_scale(scalar):
+    """The same on a GPU: `gather` in whole blocks, `divide` in one."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(count: wp.int32, weight: wp.array(dtype=scalar), partial: wp.array(dtype=wp.float64)):
@@ -59,4 +64,4 @@ def scale_kernels(scalar, serial: bool):
         if wp.tid() == 0:
             factor[0] = wp.where(sum > wp.float64(0.0), wanted / sum, wp.float64(0.0))
 
-    return (alone,) if serial else (gather, divide)
+    return gather, divide

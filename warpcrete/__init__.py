@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from .errors import (
     CapacityError,
+    ConvergenceError,
     DeviceError,
     InstabilityError,
     RunFolderError,
@@ -19,12 +20,17 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
+    from .fluid import FluidScene
+    from .fluid_simulation import FluidSimulation
     from .scene import Scene
     from .simulation import Run, Simulation
 
 __all__ = [
     "CapacityError",
+    "ConvergenceError",
     "DeviceError",
+    "FluidScene",
+    "FluidSimulation",
     "InstabilityError",
     "Run",
     "RunFolderError",
@@ -35,7 +41,10 @@ __all__ = [
     "scenes",  # pyright: ignore[reportUnsupportedDunderAll]
 ]
 
-_LAZY = {"Simulation": "simulation", "Run": "simulation", "Scene": "scene"}
+_LAZY = {
+    "Simulation": "simulation", "Run": "spine", "Scene": "scene", "FluidSimulation": "fluid_simulation",
+    "FluidScene": "fluid",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -40,13 +40,21 @@ def save(path: Path, model: Model, state: State, precision: str, memory: dict[st
     for name, array in vars(state).items():
         if isinstance(array, wp.array) and name not in TRANSIENT:
             arrays[f"state/{name}"] = array.numpy()[: max(state.pair_total, 1)] if _is_pair(name) else array.numpy()
+    write(path, model.scene, model.device, precision, arrays, {name: getattr(state, name) for name in NUMBERS}, memory)
+
+
+def write(
+    path: Path, scene: Any, device, precision: str, arrays: dict[str, np.ndarray], numbers: dict[str, Any],
+    memory: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write `arrays`, `numbers` and `memory` of a state, and what they belong to, beside `path`; then rename."""
     text = {
         "warpcrete checkpoint": FORMAT,
-        "scene": fingerprint(model.scene),
-        "device": "cuda" if model.device.is_cuda else "cpu",
+        "scene": fingerprint(scene),
+        "device": "cuda" if device.is_cuda else "cpu",
         "precision": precision,
         "versions": versions(),
-        "state": {name: getattr(state, name) for name in NUMBERS},
+        "state": numbers,
         "memory": _flatten(memory, "memory", arrays),
     }
     arrays["text"] = np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
@@ -64,6 +72,14 @@ def load(path: Path, model: Model, precision: str) -> tuple[State, dict[str, Any
 
     Raises :class:`RunFolderError` with the reason for any other file.
     """
+    arrays, numbers, memory = read(path, model.scene, model.device, precision)
+    return _restored(model, arrays, numbers), memory
+
+
+def read(
+    path: Path, scene: Any, device, precision: str
+) -> tuple[dict[str, np.ndarray], dict[str, Any], dict[str, Any]]:
+    """What :func:`write` was given, if it belongs to the same scene, kind of device, precision and versions."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
@@ -85,16 +101,15 @@ def load(path: Path, model: Model, precision: str) -> tuple[State, dict[str, Any
             f"'{path}': was written by {_shown(text['versions'])}, here is {_shown(versions())}; resume with those "
             "versions, or start the run anew"
         )
-    device = "cuda" if model.device.is_cuda else "cpu"
     for what, found, here in (
         ("precision", text["precision"], precision),
-        ("device", text["device"], device),
-        ("scene", text["scene"], fingerprint(model.scene)),
+        ("device", text["device"], "cuda" if device.is_cuda else "cpu"),
+        ("scene", text["scene"], fingerprint(scene)),
     ):
         if found != here:
             shown = "another scene" if what == "scene" else f"{what} {found!r}, not {here!r}"
             raise RunFolderError(f"'{path}': belongs to {shown}; resume with what the run was started with")
-    return _restored(model, arrays, text["state"]), _unflatten(text["memory"], arrays)
+    return arrays, text["state"], _unflatten(text["memory"], arrays)
 
 
 def _restored(model: Model, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> State:

@@ -65,9 +65,9 @@ def body_values(simulation: Simulation, colouring: str) -> np.ndarray:
     return largest_forces(simulation.model, state)[order]
 
 
-def colours(values: np.ndarray, upper: float) -> np.ndarray:
-    """RGB bytes (n, 3) of values from 0 to `upper`, on matplotlib's perceptually even viridis map."""
-    scaled = np.clip(values / max(upper, 1e-300), 0, 1)
+def colours(values: np.ndarray, upper: float, lower: float = 0.0) -> np.ndarray:
+    """RGB bytes (n, 3) of values from `lower` to `upper`, on matplotlib's perceptually even viridis map."""
+    scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
     return _palette()[(255 * scaled).astype(int)]
 
 

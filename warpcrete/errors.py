@@ -31,9 +31,13 @@ class InstabilityError(WarpcreteError):
 class ConvergenceError(InstabilityError):
     """A solve did not converge; `history` holds the norms of its residual, from the start on."""
 
-    def __init__(self, time: float, what: str, iterations: int, history: list[float], residual: float, most: int) -> None:
+    def __init__(
+        self, time: float, what: str, iterations: int, history: list[float], residual: float, most: int
+    ) -> None:
         self.time, self.what, self.iterations, self.history, self.residual = time, what, iterations, history, residual
-        shown = [history[k] for k in sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1}) if k < len(history)]
+        shown = [
+            history[k] for k in sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1}) if k < len(history)
+        ]
         super().__init__(
             f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = {most}); "
             f"residual {residual:.3g}, on the way {', '.join(f'{x:.2g}' for x in shown)}; usual cures: a smaller time "

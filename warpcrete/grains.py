@@ -37,8 +37,8 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
     """Place grains of random size and shape at random, largest first, until they fill their share of the column.
 
     A grain takes the particles inside its outline: a circle or ball of its size, with a random waviness. Grains keep
-    a particle of mortar between them and half a particle to walls, piston and surface. Raises :class:`SceneError` where they find
-    no room.
+    a particle of mortar between them and half a particle to walls, piston and surface. Raises :class:`SceneError`
+    where they find no room.
     """
     aggregates = scene.aggregates
     assert aggregates is not None
@@ -53,7 +53,7 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
         refuse("sizes", aggregates.sizes, "must have a class with a share above 0")
     taken = 0
     blocked = np.zeros(n, bool)
-    for number, (smallest, largest, share) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
+    for number, (smallest, largest, _) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
         goal = wanted * sum(c[2] for c in sorted(aggregates.sizes, key=lambda c: -c[1])[: number + 1]) / total
         misses = 0
         while taken < goal - 0.5 and misses < 4000:

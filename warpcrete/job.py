@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from .errors import RunFolderError, between, one_of, positive
+from .errors import RunFolderError, between, one_of, positive, refuse
 
 KEPT = ("frames", "colour", "network", "rerun", "usd", "pipeline_vertical", "pipeline_horizontal", "pipeline_other",
         "checkpoint_every", "threads")  # fmt: skip
@@ -63,6 +63,8 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
         going_on: bool = False) -> None:  # fmt: skip
     """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there."""
     from .batch import default_threads
+    from .fluid import FluidScene
+    from .fluid_simulation import FluidSimulation
     from .pipeline import pipeline_estimate
     from .progress import ProgressBar
     from .provenance import write_json
@@ -94,23 +96,33 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     source = str(pipeline_other.resolve()) if pipeline_other else None
     settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
                                checkpoint_every, threads or default_threads())))  # fmt: skip
-    recorders: list[Recorder] = []
-    recorders.append(TableRecorder(folder, settings))
-    if rerun or live:
-        from .record_rerun import RerunRecorder
+    fluid = isinstance(scene, FluidScene)
+    if fluid:
+        from .record_fluid import COLOURINGS, FlowPlotRecorder, FluidRerunRecorder, FluidUsdRecorder
 
-        target = True if live == "spawn" else (live or False)
-        recorders.append(
-            RerunRecorder(folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
-        )
-    if usd:
+        one_of("colour", colour, COLOURINGS)
+        if network:
+            refuse("network", network, "draws the contacts of discrete elements; a flow has none")
+        methods: Any = FluidRerunRecorder, FluidUsdRecorder
+        plot: Recorder = FlowPlotRecorder(folder / "flow.png", colour)
+    else:
+        from .record_rerun import RerunRecorder
         from .record_usd import UsdRecorder
 
-        recorders.append(UsdRecorder(folder / "scene.usdc", colouring=colour))
-    recorders.append(PlotRecorder(folder / "pressure.png", scene.notes.get("paper")))
+        methods = RerunRecorder, UsdRecorder
+        plot = PlotRecorder(folder / "pressure.png", scene.notes.get("paper"))
+    recorders: list[Any] = [TableRecorder(folder, settings)]
+    if rerun or live:
+        target = True if live == "spawn" else (live or False)
+        recorders.append(
+            methods[0](folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
+        )
+    if usd:
+        recorders.append(methods[1](folder / "scene.usdc", colouring=colour))
+    recorders.append(plot)
 
     progress = ProgressBar()
-    simulation = Simulation(
+    simulation = (FluidSimulation if fluid else Simulation)(
         scene,
         device=device,
         precision=precision,
@@ -175,6 +187,16 @@ def report(run, module) -> None:
         peak, at = result["peak_pressure"]["value"], result["peak_travel"]["value"]
         show("peak pressure", f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{beside('peak')}")
         show("plateau pressure", f"{result['plateau_pressure']['value'] / 1e3:.2f} kPa{beside('plateau')}")
+    if "slip_velocity" in result:
+
+        def shown(name: str, factor: float, unit: str) -> str:
+            theory, error = result[f"{name}_theory"]["value"] * factor, result[f"{name}_error"]
+            return (f"{result[name]['value'] * factor:.4g} {unit}   (theory, {result['theory']}: {theory:.4g}; "
+                    f"{100 * error:+.2f} %)")  # fmt: skip
+
+        show("pressure", shown("pressure", 1e-3, "kPa"))
+        show("slip velocity", shown("slip_velocity", 100, "cm/s"))
+        show("profile", f"rms {100 * result['profile_error']:.2f} % of the mean velocity off theory")
     if "pipeline_estimate" in result:
         estimate = result["pipeline_estimate"]
         show("pipeline, Eq. 13", f"{estimate['total_pressure']['value'] / 1e6:.2f} MPa; other direction from "
@@ -183,7 +205,7 @@ def report(run, module) -> None:
         show("packing", f"{run.packing.bodies} aggregates, solid fraction {run.packing.solid_fraction:.3f}, "
              f"{run.packing.coordination_number:.1f} neighbours each")  # fmt: skip
     speed = result["speed"]
-    total = sum(speed[k]["value"] for k in ("packing_time", "settling_time", "wall_time"))
+    total = sum(speed[k]["value"] for k in ("packing_time", "settling_time", "wall_time") if k in speed)
     show("time", f"{total:.0f} s for {result['steps']} steps ({speed['steps_per_second']['value']:.0f} a second) "
          f"on {result['provenance']['device']}")  # fmt: skip
     if run.finished:

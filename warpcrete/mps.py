@@ -22,7 +22,7 @@ import warp as wp
 
 from .batch import default_threads
 from .errors import ConvergenceError, InstabilityError
-from .fluid_state import CUTOFF, WIDE, FluidState
+from .fluid_state import CUTOFF, WIDE, FluidState, Layout
 from .interrupts import put_off
 from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME, parallel_solver, serial_solver
 from .kernels.mps_lists import list_kernels
@@ -50,7 +50,7 @@ from .kernels.mps_types import (
     mps_types,
     span,
 )
-from .kernels.sums import BLOCK, scale_kernels
+from .kernels.sums import BLOCK, parallel_scale, serial_scale
 from .kernels.threads import barrier
 from .stages import Stage
 
@@ -94,11 +94,11 @@ class MovingParticles:
 
         self.fluid_inverse, self.whole_inverse = zeros(t.mat), zeros(t.mat)
         self.free = zeros(wp.int32)
-        for name in (
-            "inverse_number", "crowding", "wall_weight", "viscosity", "predicted", "diagonal", "drag", "traction",
-            "increment", "potential",
-        ):  # fmt: skip
-            setattr(self, name, zeros(self.scalar))
+        self.inverse_number, self.crowding, self.predicted = (zeros(self.scalar) for _ in range(3))
+        self.wall_weight, self.traction, self.viscosity = (zeros(self.scalar) for _ in range(3))
+        """Area of wall that a particle stands for over its volume [1/m]; the wall's stress [Pa]; apparent [Pa s]."""
+        self.diagonal, self.drag = zeros(self.scalar), zeros(self.scalar)
+        self.increment, self.potential = zeros(self.scalar), zeros(self.scalar)
         self.moved, self.built = zeros(t.vec), zeros(t.vec)
         self.wall_scale = wp.zeros(1, dtype=wp.float64, device=device)
         self.late = wp.zeros(2, dtype=wp.int32, device=device)
@@ -118,6 +118,7 @@ class MovingParticles:
         self.grain_arrays = _grain_arrays(state, t, self.scalar)
         self._graphs: dict[int, list[Any]] = {}
         self._stages: list[list[Stage]] | None = None
+        self.theory = scene.theory()
         self.time = 0.0
         self.steps = 0
         self.rebuilds = 0
@@ -132,7 +133,6 @@ class MovingParticles:
         cells = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1.0)] * d), -1).reshape(-1, d)
         r = np.linalg.norm(cells, axis=1)
         near = r[(r > 0) & (r < CUTOFF)]
-        wide = r[r < WIDE] / WIDE
         fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
         values = dict(
             count=state.count,
@@ -140,7 +140,7 @@ class MovingParticles:
             cutoff=CUTOFF * l0,
             wide=WIDE * l0,
             lattice_number=float(np.sum(CUTOFF / near - 1)),
-            lattice_density=float(np.sum((1 - wide) ** 4 * (4 * wide + 1))) * l0**d / layout.volume,
+            lattice_density=_density_at_start(layout),
             radius=scene.radius,
             piston_speed=scene.velocity,
             gravity=scene.gravity,
@@ -177,9 +177,7 @@ class MovingParticles:
         near, far, wall = (int(factor * 1.6 * x) + 8 for x in (near, whole - near, 0.55 * whole))
         n, device = self.state.count, self.device
         self.capacity = near, far, wall
-        self.near_count, self.far_count, self.near_wall = (
-            wp.zeros(n, dtype=wp.int32, device=device) for _ in range(3)
-        )
+        self.near_count, self.far_count, self.near_wall = (wp.zeros(n, dtype=wp.int32, device=device) for _ in range(3))
         self.near, self.far, self.wall = (wp.zeros(n * c, dtype=wp.int32, device=device) for c in self.capacity)
         self.pair_weight = wp.zeros(n * near, dtype=self.scalar, device=device)
         self.pair_coefficient = wp.zeros(n * near, dtype=self.scalar, device=device)
@@ -253,11 +251,11 @@ class MovingParticles:
         wanted = self.wet_area / s.layout.volume
         if serial:
             if part == 0:
-                (alone,) = scale_kernels(scalar, True)
+                alone = serial_scale(scalar)
                 stages.append(Stage(alone, 1, [s.count, wanted, self.wall_weight, self.wall_scale], self.device))
             stages += meet
         else:
-            gather, divide = scale_kernels(scalar, False)
+            gather, divide = parallel_scale(scalar)
             stages.append(self._blocks(gather, [s.count, self.wall_weight, self.viscous.partial]))
             stages.append(self._blocks(divide, [self.blocks, wanted, self.viscous.partial, self.wall_scale], 1))
         stages += stage(
@@ -269,7 +267,15 @@ class MovingParticles:
         size = math.sqrt(s.count)
         rate = scene.concrete.density / scene.time_step
         stages += self._solve(
-            self.viscous, True, VISCOSITY, s.velocity, part, first, end, 0.0, VELOCITY_ERROR * rate * scene.velocity * size
+            self.viscous,
+            True,
+            VISCOSITY,
+            s.velocity,
+            part,
+            first,
+            end,
+            0.0,
+            VELOCITY_ERROR * rate * scene.velocity * size,
         )
         stages += stage(
             divergence_kernel(scalar, d, serial, two_phase),
@@ -291,9 +297,9 @@ class MovingParticles:
             shift_kernel(scalar, d, serial),
             [*own, near, *lists, s.position, self.pair_weight, self.fluid_inverse, self.potential, self.moved],
         )
+        velocities, places = rigid_kernels(scalar, d)
+        g = self.grain_arrays
         if two_phase and part == 0:
-            velocities, places = rigid_kernels(scalar, d)
-            g = self.grain_arrays
             arguments = [self.flow, s.flags, g["first"], s.position, s.velocity, self.moved, g["middle"], g["spin"]]
             stages.append(Stage(velocities, g["count"], arguments, self.device))
         if two_phase:
@@ -390,6 +396,30 @@ class MovingParticles:
             self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.most_iterations
         )
 
+    def memory(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """All that the next step depends on: arrays and numbers."""
+        arrays = {name: getattr(self.state, name).numpy() for name in FluidState.PARTICLE_ARRAYS}
+        # The lists are those of the places for which they were built: sums keep their order.
+        arrays |= {"built": self.built.numpy(), "flags": self.state.flags.numpy(), "late": self.late.numpy()}
+        arrays |= {
+            f"grain_{name}": self.grain_arrays[name].numpy() for name in ("turn", "middle", "spin") if self.grain_arrays
+        }
+        return arrays, {"steps": self.steps, "rebuilds": self.rebuilds}
+
+    def restore(self, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
+        """Go on from a `memory`."""
+        state = self.state
+        state.position.assign(arrays["built"])
+        self.build()
+        for name in FluidState.PARTICLE_ARRAYS:
+            getattr(state, name).assign(arrays[name])
+        state.flags.assign(arrays["flags"])
+        self.late.assign(arrays["late"])
+        for name in ("turn", "middle", "spin") if self.grain_arrays else ():
+            self.grain_arrays[name].assign(arrays[f"grain_{name}"])
+        self.steps, self.rebuilds = int(numbers["steps"]), int(numbers["rebuilds"])
+        self.time = self.steps * self.scene.time_step
+
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Iterations and residuals of each solve in the last step."""
         found = {}
@@ -449,6 +479,21 @@ class Loop:
     def _once(self) -> None:
         for stage in self.body:
             stage()
+
+
+def _density_at_start(layout: Layout) -> float:
+    """Mean sum of density weights in a layer amid the column, where it holds exactly its volume."""
+    reach = WIDE * layout.spacing
+    everything = np.concatenate([layout.fluid, layout.wall])
+    middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
+    layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]
+    layer = layer[:: -(-len(layer) // 1000)]
+    near = everything[np.abs(everything[:, -1] - middle) < reach]
+    q = np.concatenate(
+        [np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in np.array_split(layer, -(-len(layer) // 50))]
+    )
+    q = q[q < reach] / reach
+    return float(np.sum((1 - q) ** 4 * (4 * q + 1))) / len(layer)
 
 
 def _grain_arrays(state: FluidState, t, scalar) -> dict[str, Any]:

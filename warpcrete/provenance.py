@@ -116,6 +116,14 @@ def state_hash(state: State) -> str:
     return digest.hexdigest()
 
 
+def arrays_hash(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of named arrays, in the order of their names."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(name.encode() + np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write beside, then rename: a reader never sees half a file."""
     partial = path.with_name(path.name + ".partial")

@@ -30,10 +30,12 @@ class RerunRecorder(Recorder):
     resumed goes on after a whole part. At the end they become one file.
     """
 
+    COLOURINGS = ("speed", "size", "force")
+
     def __init__(
         self, path: Path | None, *, live: bool | str = False, colouring: str = "speed", network: bool = False
     ) -> None:
-        one_of("colour", colouring, ("speed", "size", "force"))
+        one_of("colour", colouring, self.COLOURINGS)
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._recording: Any = None
         import rerun as rr
@@ -102,10 +104,14 @@ class RerunRecorder(Recorder):
         rr = self._rr
         self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
         self._id, self._parts = recording_id, part
-        self._upper = colour_limit(simulation, self.colouring)
+        self._upper = self._limit(simulation)
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
+
+    def _limit(self, simulation: Simulation) -> float:
+        """Value at the top of the colour scale."""
+        return colour_limit(simulation, self.colouring)
 
     def _flush(self) -> None:
         try:

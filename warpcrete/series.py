@@ -40,6 +40,20 @@ UNITS = {
     "deepest_overlap": "1",
     "time_step": "s",
     "reach": "m",
+    "pressure_gradient": "Pa/m",
+    "wall_stress": "Pa",
+    "slip_velocity": "m/s",
+    "profile_error": "m/s",
+    "volume_error": "1",
+    "force_balance_error": "1",
+    "front": "m",
+    "momentum": "kg m/s",
+    "viscosity_iterations": "1",
+    "pressure_iterations": "1",
+    "aggregate_inner": "1",
+    "aggregate_outer": "1",
+    "aggregate_front": "1",
+    "aggregate_rear": "1",
 }
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
 

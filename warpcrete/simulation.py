@@ -1,4 +1,4 @@
-"""The spine: from a scene to a finished run. Read this file first.
+"""Discrete elements from a scene to a finished run. Read this file first, then `spine.py`, which it continues.
 
 simulation = Simulation(scenes.pipe(unit="vertical"))
 run = simulation.run()
@@ -7,12 +7,10 @@ run.series["pressure"]
 
 from __future__ import annotations
 
-import math
 import os
 import time as wall_clock
-import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,80 +18,24 @@ import numpy as np
 
 from . import checkpoint
 from .batch import default_threads
-from .errors import WarpcreteError, between, positive, refuse
+from .errors import WarpcreteError, refuse
 from .kernels.wall_motion import FIXED, PRESCRIBED
 from .memory import check_memory
 from .model import build_model, find_device
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
-from .progress import ProgressBar
 from .provenance import provenance, state_hash
 from .scene import Scene
 from .series import STORED, Sampler, energy_balance, momentum_balance, pressure_figures, quantity, unit_of
+from .spine import Progress, Recorder, Run, Spine
 from .state import BodyTable, State, placed_bodies
 from .stepper import Course, Stepper, drive_one
 from .watch import Watch
 
-Progress = Callable[[str, float, dict[str, Any]], None]
-"""Called with the phase (`packing`, `settling`, `running`), the share done and a few current figures."""
-
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 
 
-class Recorder:
-    """Where a run goes; subclasses override what they need.
-
-    Methods are called in this order; `finish` also after an interruption or an error.
-    """
-
-    def start(self, simulation: Simulation) -> None:
-        """The run is about to begin."""
-
-    def resume(self, simulation: Simulation, memory: dict[str, Any]) -> None:
-        """Instead of `start`, when a run goes on from the checkpoint at which `checkpoint` returned `memory`.
-
-        Whatever was recorded after it must go.
-        """
-        self.start(simulation)
-
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """A row of the series."""
-
-    def frame(self, simulation: Simulation) -> None:
-        """A picture is due."""
-
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Put on disk what is there so far; returns what `resume` will need."""
-        return {}
-
-    def finish(self, simulation: Simulation, run: Run) -> None:
-        """The run has ended: put everything on disk. The last recorder finishes first."""
-
-    def tidy(self, simulation: Simulation, run: Run) -> None:
-        """The run is complete and its checkpoint gone: what only a resumed run needs may go."""
-
-
-@dataclass
-class Run:
-    """A finished (or interrupted) run."""
-
-    scene: Scene
-    series: dict[str, np.ndarray]
-    """One array a column, one entry a sample."""
-    units: dict[str, str]
-    """Unit of each column."""
-    result: dict[str, Any]
-    """Figures of the whole run; those with a unit are `{"value", "unit"}`."""
-    packing: PackingReport | None
-    finished: bool
-    interrupted: bool = False
-    """Cut at once by an interruption (Ctrl-C), not at a sample."""
-    folder: Path | None = None
-    bodies: BodyTable = field(default_factory=BodyTable.empty)
-    """Bodies at the end."""
-
-
-class Simulation:
+class Simulation(Spine):
     """A scene on a device, with recorders.
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
@@ -119,8 +61,12 @@ class Simulation:
         checkpoint_path: Path | None = None,
         checkpoint_every: float = 60.0,
     ) -> None:
-        positive("frame_interval", frame_interval, "s")
-        between("checkpoint_every", checkpoint_every, 0, math.inf, "s")
+        super().__init__(
+            recorders=recorders, frame_interval=frame_interval, progress=progress, checkpoint_path=checkpoint_path,
+            checkpoint_every=checkpoint_every,
+        )  # fmt: skip
+        if not isinstance(scene, Scene):
+            refuse("scene", type(scene).__name__, "is no scene of discrete elements", "flows take a FluidSimulation")
         self.scene = scene
         self.device = find_device(device)
         self.precision = precision or scene.precision
@@ -129,21 +75,7 @@ class Simulation:
         if not 1 <= self.threads <= cores:
             refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
         self.model = build_model(scene, self.device, self.precision)
-        self.recorders = list(recorders)
-        self.frame_interval = frame_interval
-        self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
         self.packing: PackingReport | None = None
-        self.stop_requested = False
-        self.finishing = False
-        if progress is True:
-            progress = ProgressBar()
-        self._progress = progress or (lambda phase, share, figures: None)
-        self._spent: dict[str, float] = {}
-        self._ran = False
-        self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
-        self._samples = 0  # rows after the one at t = 0
-        self._next_frame = frame_interval
-        self._resumed: dict[str, Any] | None = None
 
     @property
     def rows(self) -> list[dict[str, float]]:
@@ -239,9 +171,7 @@ class Simulation:
         self._begin()
         self.sampler.recall(memory["sampler"])
         self.watch.least, self.watch.scale = memory["watch"]["least"], memory["watch"]["scale"]
-        self._samples, self._next_frame = memory["samples"], memory["next_frame"]
-        self._spent = memory["spent"]
-        self._ran_before = self._spent["running"]
+        self._recall_clocks(memory)
         if memory["packing"] is not None:
             self.packing = PackingReport(**memory["packing"])
 
@@ -259,13 +189,10 @@ class Simulation:
             self.state,
             self.precision,
             {
-                "recorders": {_kind(r): r.checkpoint(self) for r in self.recorders} if self._ran else {},
+                **self._clocks(),
                 "stepper": self.stepper.memory(),
                 "sampler": self.sampler.memory(),
                 "watch": {"least": self.watch.least, "scale": self.watch.scale},
-                "samples": self._samples,
-                "next_frame": self._next_frame,
-                "spent": self._spent | {"running": self._running()},
                 "packing": asdict(self.packing) if self.packing else None,
             },
         )
@@ -286,89 +213,6 @@ class Simulation:
         if not hasattr(self, "state"):
             self.prepare()
         return drive_one(self.stepper, self.running())
-
-    def running(self) -> Course:
-        """Course: from t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
-        self._ran = True
-        self._started = wall_clock.perf_counter()
-        begun: list[Recorder] = []
-        finished = interrupted = False
-        try:
-            try:
-                for recorder in self.recorders:
-                    begun.append(recorder)
-                    memory = (self._resumed or {}).get("recorders", {}).get(_kind(recorder))
-                    if memory is None:
-                        recorder.start(self)
-                    else:
-                        recorder.resume(self, memory)
-                finished = yield from self._loop()
-            except KeyboardInterrupt:
-                interrupted = True
-        finally:
-            self._spent["running"] = self._running()
-            self.finishing = True
-            run = self._result(finished)
-            run.interrupted = interrupted
-            failures = []
-            for recorder in reversed(begun):
-                try:
-                    recorder.finish(self, run)
-                except Exception as error:  # one broken output must not cost the others
-                    failures.append(error)
-            if finished and not failures:
-                if self.checkpoint_path is not None:
-                    checkpoint.remove(self.checkpoint_path)
-                for recorder in begun:
-                    recorder.tidy(self, run)
-            if isinstance(self._progress, ProgressBar):
-                self._progress.close()
-        if failures:
-            raise failures[0]
-        return run
-
-    def _loop(self) -> Course:
-        scene, stepper = self.scene, self.stepper
-        if not self.rows:
-            self._sample()
-            for recorder in self.recorders:
-                recorder.frame(self)
-            self._checkpoint()
-        else:
-            self._saved = wall_clock.perf_counter()
-        samples = max(1, int(np.ceil(scene.duration / scene.sample_interval - 1e-9)))
-        for number in range(self._samples + 1, samples + 1):
-            if self.stop_requested:
-                self._checkpoint()
-                return False
-            until = min(number * scene.sample_interval, scene.duration)
-            yield from stepper.advancing(until)
-            self._samples = number
-            row = self._sample()
-            if stepper.time >= self._next_frame - 1e-9 or number == samples:
-                for recorder in self.recorders:
-                    recorder.frame(self)
-                self._next_frame = self.frame_interval * (np.floor(stepper.time / self.frame_interval + 1e-9) + 1)
-            if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
-                self._checkpoint()
-            self._tell(
-                "running",
-                number / samples,
-                steps_per_s=stepper.steps / max(self._running(), 1e-9),
-                **({"pressure": row["pressure"]} if "pressure" in row else {}),
-            )
-        return True
-
-    def _checkpoint(self) -> None:
-        if self.checkpoint_path is not None:
-            try:
-                self.save(self.checkpoint_path)
-            except OSError as error:  # a full disk must not end the run; the checkpoint before is still there
-                warnings.warn(f"'{self.checkpoint_path}': no checkpoint was written: {error}", stacklevel=2)
-        self._saved = wall_clock.perf_counter()
-
-    def _running(self) -> float:
-        return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
 
     def _sample(self) -> dict[str, float]:
         row = self.sampler.sample()
@@ -395,9 +239,6 @@ class Simulation:
                 break
         self._tell("settling", 1.0)
         self.model.wall_table.assign(walls)
-
-    def _tell(self, phase: str, share: float, **figures: Any) -> None:
-        self._progress(phase, share, figures)
 
     def _result(self, finished: bool) -> Run:
         series = self.sampler.series()
@@ -442,7 +283,3 @@ class Simulation:
         result["state_hash"] = state_hash(self.state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         return Run(self.scene, series, units, result, self.packing, finished, bodies=self.state.table())
-
-
-def _kind(recorder: Recorder) -> str:
-    return type(recorder).__name__

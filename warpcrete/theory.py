@@ -57,6 +57,13 @@ CONCRETES = {
 }
 """Xu, Li & Jiang 2021, Tables 1 to 3 (slip layer of no thickness); slumps 13, 18 and 22 cm."""
 
+THICKER_LAYERS = {
+    "no1": {2e-3: 889.0, 4e-3: 885.0, 6e-3: 882.0},
+    "no2": {2e-3: 839.0, 4e-3: 834.0, 6e-3: 831.0},
+    "no3": {2e-3: 914.0, 4e-3: 908.0, 6e-3: 902.0},
+}
+"""eta_L [Pa s/m] for slip layers of some thickness [m] (Table 3); tau_L0 is that of no thickness."""
+
 MIXES = {
     "no1": dict(cement=323, sand=912, gravel=946, water=171, superplasticizer=0.808, viscosity_modifier=0.646),
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),

@@ -1,0 +1,140 @@
+"""What is measured in a flow: pressure on the piston, slip velocity, profiles, volume, balance of forces, aggregate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .mps import MovingParticles
+from .theory import velocity
+
+MIDDLE = (0.4, 0.6)
+"""Part of the column, in shares of its height, in which slip velocity and profile are taken."""
+STRAIGHT = (0.2, 0.8)
+"""Part in which the pressure's gradient is taken."""
+LOWEST = 0.1
+"""Part above the piston through which the pressure is continued to the piston."""
+WINDOW = (0.65, 0.85)
+"""Heights between which the window falls from one to nothing that measures the volume."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Arrays of the particles on the host, double precision."""
+
+    height: np.ndarray
+    """Above the piston [m]."""
+    distance: np.ndarray
+    """From the axis, or the middle plane [m]."""
+    velocity: np.ndarray
+    """Along the pipe [m/s]."""
+    pressure: np.ndarray
+    """[Pa]"""
+
+    @staticmethod
+    def of(flow: MovingParticles) -> Snapshot:
+        """What the particles hold now."""
+        state = flow.state
+        x, v = state.position.numpy().astype(float), state.velocity.numpy().astype(float)
+        return Snapshot(x[:, -1], np.linalg.norm(x[:, :-1], axis=1), v[:, -1], state.pressure.numpy().astype(float))
+
+
+def section(flow: MovingParticles) -> float:
+    """Cross section of the pipe [m2], of a channel [m2 per metre of depth]."""
+    return 2 * flow.scene.radius if flow.scene.dimensions == 2 else math.pi * flow.scene.radius**2
+
+
+def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
+    """A row of the series; `before` is the row before, for what changes in between.
+
+    The pressure on the piston is that of the particles near it, continued in a straight line, and half a spacing of
+    its gradient more: the particles of the surface have none, though half of each lies above its centre.
+    """
+    scene, state, layout = flow.scene, flow.state, flow.state.layout
+    snap = Snapshot.of(flow)
+    share = snap.height / layout.height
+    straight = (share > STRAIGHT[0]) & (share < STRAIGHT[1])
+    gradient = -_slope(snap.height[straight], snap.pressure[straight])[0]
+    low = share < max(LOWEST, 2.1 * layout.spacing / layout.height)
+    pressure = _slope(snap.height[low], snap.pressure[low])[1] + 0.5 * gradient * layout.spacing
+
+    stress = flow.traction.numpy().astype(float)
+    weight = flow.wall_weight.numpy().astype(float) * float(flow.wall_scale.numpy()[0])
+    # In the frame of the wall: what the layer does is the velocity there.
+    to_wall = np.maximum(scene.radius - snap.distance, 0.0)
+    apparent = np.maximum(flow.viscosity.numpy(), 1e-30)  # 0 before the first step
+    slip = snap.velocity - to_wall * stress / apparent
+    middle = (share > MIDDLE[0]) & (share < MIDDLE[1])
+    wet = middle & (weight > 0)
+    theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))
+
+    lower, upper = WINDOW
+    window = 0.5 * (1 + np.cos(np.pi * np.clip((share - lower) / (upper - lower), 0, 1)))
+    area = section(flow)
+    inside = area * layout.height * 0.5 * (lower + upper)
+    mass = layout.volume * (scene.concrete.density if state.grains is None else state.density.numpy().astype(float))
+    momentum = float(np.sum(mass * snap.velocity))
+    change = 0.0
+    if before is not None and flow.time > before["time"]:
+        change = (momentum - before["momentum"]) / (flow.time - before["time"])
+    force = pressure * area
+    drag = float(np.sum(weight * stress)) * layout.volume
+    outcomes = flow.outcomes()
+    residual = force - state.mass * scene.gravity - drag - change
+    surface = snap.height[flow.free.numpy() != 0] if flow.steps else np.array([layout.height - 0.5 * layout.spacing])
+    row = {
+        "time": flow.time,
+        "travel": scene.velocity * flow.time,
+        "pressure": float(pressure),
+        "pressure_gradient": float(gradient),
+        "wall_stress": drag / flow.wet_area,
+        "slip_velocity": float(np.sum(weight[wet] * slip[wet]) / np.sum(weight[wet])) if wet.any() else math.nan,
+        "profile_error": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
+        "volume_error": float(inside / (np.sum(window) * layout.volume) - 1),
+        "force_balance_error": float(residual / force) if force else math.nan,
+        "front": float(np.mean(surface)) + 0.5 * layout.spacing if len(surface) else math.nan,
+        "momentum": momentum,
+        "viscosity_iterations": outcomes["viscosity"]["iterations"],
+        "pressure_iterations": outcomes["pressure"]["iterations"],
+    }  # fmt: skip
+    return row | aggregate_shares(flow, snap)
+
+
+def aggregate_shares(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
+    """Volume share of coarse aggregate in the inner and outer half of the radius, the front and rear of the column."""
+    if flow.state.grains is None:
+        return {}
+    coarse = flow.state.grains.group >= 0
+    parts = {
+        "inner": snap.distance < 0.5 * flow.scene.radius,
+        "outer": snap.distance >= 0.5 * flow.scene.radius,
+        "front": snap.height >= 0.5 * flow.state.layout.height,
+        "rear": snap.height < 0.5 * flow.state.layout.height,
+    }
+    return {f"aggregate_{name}": float(coarse[part].mean()) if part.any() else math.nan for name, part in parts.items()}
+
+
+def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from the axis [m] and mean velocity [m/s] of the particles within 1.5 spacings of `height` [m].
+
+    As many `bins` as there are particles from axis to wall, unless given.
+    """
+    snap, layout = Snapshot.of(flow), flow.state.layout
+    chosen = np.abs(snap.height - height) < 1.5 * layout.spacing
+    edges = np.linspace(0, flow.scene.radius, (bins or max(2, round(flow.scene.radius / layout.spacing))) + 1)
+    place = np.clip(np.searchsorted(edges, snap.distance[chosen], side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(place, snap.velocity[chosen], len(edges) - 1) / count
+        middle = np.bincount(place, snap.distance[chosen], len(edges) - 1) / count
+    return middle[count > 0], mean[count > 0]
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope and value at zero of the straight line through points."""
+    if len(x) < 2 or np.ptp(x) == 0:
+        return 0.0, float(np.mean(y)) if len(y) else math.nan
+    slope, value = np.polyfit(x, y, 1)
+    return float(slope), float(value)
