@@ -11,8 +11,10 @@ import functools
 import warp as wp
 
 from .mps_types import FAILED, HALTED, fluid_struct, mps_functions, mps_types, row_place
+from .rows import row_product
 from .sums import keep, total
 from .threads import meet
+from .types import cpu_flags
 
 # Slots of the outcome of a solve.
 ITERATIONS = wp.constant(0)
@@ -46,10 +48,10 @@ def serial_solver(scalar, dimensions: int, vector: bool):
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = fluid_struct(scalar)
-    place = row_place(True)
     value, inner = solver_types(scalar, dimensions, vector)
+    product = row_product(scalar, value)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
         flow: Flow,
         part: wp.int32,
@@ -106,10 +108,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
             pq = wp.float64(0.0)
             for i in range(first, end):
                 own = p[i]
-                sum = diagonal[i] * own
-                for k in range(near_count[i]):
-                    at = place(i, k, flow.count, near_capacity)
-                    sum -= coefficient[at] * p[near[at]]
+                sum = diagonal[i] * own - product(near, coefficient, p, i * near_capacity, near_count[i])
                 if wp.static(vector):
                     if drag[i] > scalar(0.0):
                         n = f.outward(position[i])
@@ -214,8 +213,8 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
             p[i] = z
             rz = inner(r[i], z)
             rr = inner(r[i], r[i])
-        keep(partial, 0, rz)
-        keep(partial, blocks, rr)
+        keep(i, partial, 0, rz)
+        keep(i, partial, blocks, rr)
 
     @wp.kernel(enable_backward=False, module="unique")
     def ready(
@@ -228,9 +227,10 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         outcome: wp.array(dtype=wp.float64),
         going: wp.array(dtype=wp.int32),
     ):
-        rz = total(partial, 0, blocks)
-        rr = total(partial, blocks, blocks)
-        if wp.tid() == 0:
+        i = wp.tid()
+        rz = total(i, partial, 0, blocks)
+        rr = total(i, partial, blocks, blocks)
+        if i == 0:
             goal = wp.max(tolerance * tolerance * rr, enough * enough)
             numbers[0] = rz
             numbers[1] = goal
@@ -275,7 +275,7 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
                     sum = value(scalar(0.0))
             q[i] = sum
             pq = inner(own, sum)
-        keep(partial, 2 * blocks, pq)
+        keep(i, partial, 2 * blocks, pq)
 
     @wp.kernel(enable_backward=False, module="unique")
     def update(
@@ -292,7 +292,7 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         partial: wp.array(dtype=wp.float64),
     ):
         i = wp.tid()
-        pq = total(partial, 2 * blocks, blocks)
+        pq = total(i, partial, 2 * blocks, blocks)
         alpha = scalar(0.0)
         if pq > wp.float64(0.0):
             alpha = scalar(numbers[0] / pq)
@@ -306,8 +306,8 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
             q[i] = z
             rz = inner(left, z)
             rr = inner(left, left)
-        keep(partial, 0, rz)
-        keep(partial, blocks, rr)
+        keep(i, partial, 0, rz)
+        keep(i, partial, blocks, rr)
 
     @wp.kernel(enable_backward=False, module="unique")
     def direct(
@@ -319,7 +319,7 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         numbers: wp.array(dtype=wp.float64),
     ):
         i = wp.tid()
-        rz = total(partial, 0, blocks)
+        rz = total(i, partial, 0, blocks)
         beta = scalar(rz / numbers[0])
         if i < flow.count:
             p[i] = q[i] + beta * p[i]
@@ -336,9 +336,10 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         history: wp.array(dtype=wp.float64),
         going: wp.array(dtype=wp.int32),
     ):
-        rz = total(partial, 0, blocks)
-        rr = total(partial, blocks, blocks)
-        if wp.tid() == 0:
+        i = wp.tid()
+        rz = total(i, partial, 0, blocks)
+        rr = total(i, partial, blocks, blocks)
+        if i == 0:
             count = wp.int32(outcome[ITERATIONS])
             if count < history.shape[0]:
                 history[count] = wp.sqrt(rr)

@@ -43,6 +43,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def search(
         flow: Flow,
+        near_reach: scalar,
+        whole_reach: scalar,
         grid: wp.uint64,
         near_capacity: wp.int32,
         far_capacity: wp.int32,
@@ -59,8 +61,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
         i = wp.tid()
         here = points[i]
         # A hair more than the skin, for the rounding of the grid's points.
-        inner = wp.float32(flow.cutoff + flow.skin) * wp.float32(1.0001)
-        outer = wp.float32(flow.wide + flow.skin) * wp.float32(1.0001)
+        inner = wp.float32(near_reach) * wp.float32(1.0001)
+        outer = wp.float32(whole_reach) * wp.float32(1.0001)
         nears, fars, walls = wp.int32(0), wp.int32(0), wp.int32(0)
         for j in wp.hash_grid_query(grid, here, outer):
             if j == i:

@@ -55,6 +55,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         crowding: wp.array(dtype=scalar),
         wall_weight: wp.array(dtype=scalar),
         viscosity: wp.array(dtype=scalar),
+        compliance: wp.array(dtype=scalar),
         predicted: wp.array(dtype=scalar),
     ):
         if flags[HALTED] != 0:
@@ -148,14 +149,22 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             rate = wp.sqrt(rate)
             apparent = flow.viscosity
             bent_rate = flow.regularisation * rate
+            fall = wp.exp(-bent_rate)
             if bent_rate > scalar(1.0e-3):
-                apparent += flow.yield_stress * (scalar(1.0) - wp.exp(-bent_rate)) / rate
+                apparent += flow.yield_stress * (scalar(1.0) - fall) / rate
             else:
                 apparent += flow.yield_stress * flow.regularisation * (scalar(1.0) - scalar(0.5) * bent_rate)
+            tangent = flow.viscosity + flow.yield_stress * flow.regularisation * fall
             if wp.static(two_phase):
                 if group[i] >= 0:
                     apparent = flow.aggregate_viscosity
+                    tangent = apparent
             viscosity[i] = apparent
+            # Velocity from the wall to here over the wall's stress: stress falls in a straight line towards the axis,
+            # and the rate of shear with it, from what the tangent gives at the wall to what it is here.
+            near_wall = wp.clamp(s, scalar(1.0e-3) * flow.spacing, flow.radius)
+            bend = near_wall / flow.radius
+            compliance[i] = near_wall * ((scalar(1.0) - bend) / apparent + scalar(0.5) * bend / tangent)
 
     return geometry
 
@@ -187,6 +196,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         wall_weight: wp.array(dtype=scalar),
         wall_scale: wp.array(dtype=wp.float64),
         viscosity: wp.array(dtype=scalar),
+        compliance: wp.array(dtype=scalar),
         predicted: wp.array(dtype=scalar),
         pair_coefficient: wp.array(dtype=scalar),
         diagonal: wp.array(dtype=scalar),
@@ -227,17 +237,16 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             resist = scalar(0.0)
             stress = scalar(0.0)
             if wall_weight[i] > scalar(0.0):
-                # The wall's stress follows from the velocity at the wall, a distance s from the particle's.
+                # The wall's stress follows from the velocity at the wall, not from the particle's own.
                 n = f.outward(x)
                 along = v - wp.dot(n, v) * n
                 speed = wp.length(along)
-                s = wp.max(flow.radius - wp.length(f.across(x)), scalar(1.0e-3) * flow.spacing)
                 share = wall_weight[i] * scalar(wall_scale[0])
-                if speed * mu <= flow.slip_yield * s:
-                    resist = share * mu / s  # the layer does not slip
-                    stress = mu * speed / s
+                if speed <= flow.slip_yield * compliance[i]:
+                    resist = share / compliance[i]  # the layer does not slip
+                    stress = speed / compliance[i]
                 else:
-                    damp = scalar(1.0) / (scalar(1.0) + flow.slip_viscosity * s / mu)
+                    damp = scalar(1.0) / (scalar(1.0) + flow.slip_viscosity * compliance[i])
                     resist = share * flow.slip_viscosity * damp
                     stress = damp * (flow.slip_yield + flow.slip_viscosity * speed)
                     force -= (share * flow.slip_yield * damp / speed) * along

@@ -5,6 +5,7 @@ it moves a 4-vector in four pieces, since its type promises no alignment. These 
 dimension, allocated by Warp, and indices from 0 on, and check nothing.
 """
 
+import functools
 from types import SimpleNamespace
 
 import warp as wp
@@ -92,3 +93,40 @@ DOUBLE = SimpleNamespace(
 def row_functions(scalar) -> SimpleNamespace:
     """`read_int`, `read_vec3`, `read_vec4`, `write_vec3` and `write_vec4` of one precision."""
     return DOUBLE if scalar is wp.float64 else SINGLE
+
+
+PRODUCT = """
+    const int* place = neighbour.data + first;
+    const SCALAR* factor = coefficient.data + first;
+    VALUE a = {}, b = {}, c = {}, d = {};
+    int k = 0;
+    for (; k + 3 < count; k += 4) {
+        a += factor[k] * value.data[place[k]];
+        b += factor[k + 1] * value.data[place[k + 1]];
+        c += factor[k + 2] * value.data[place[k + 2]];
+        d += factor[k + 3] * value.data[place[k + 3]];
+    }
+    for (; k < count; ++k)
+        a += factor[k] * value.data[place[k]];
+    return (a + b) + (c + d);
+"""
+"""Four sums abreast: one alone would wait for every addition before the next."""
+
+
+@functools.cache
+def row_product(scalar, value_type):
+    """Function of (neighbour, coefficient, value, first, count): coefficients of a row times the neighbours' values."""
+    width = getattr(value_type, "_length_", 1)
+    name = "double" if scalar is wp.float64 else "float"
+    snippet = PRODUCT.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>").replace("SCALAR", name)
+
+    @wp.func_native(snippet)
+    def product(
+        neighbour: wp.array(dtype=wp.int32),
+        coefficient: wp.array(dtype=scalar),
+        value: wp.array(dtype=value_type),
+        first: wp.int32,
+        count: wp.int32,
+    ) -> value_type: ...
+
+    return product

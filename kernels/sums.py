@@ -9,19 +9,19 @@ BLOCK = 256
 
 
 @wp.func
-def keep(partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
+def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
     """Add up what the threads of a block bring, into `partial[first + block]`. All of them must call."""
     whole = wp.tile_sum(wp.tile(own))
     sum = whole[0]
-    if wp.tid() % BLOCK == 0:
-        partial[first + wp.tid() / BLOCK] = sum
+    if thread % BLOCK == 0:
+        partial[first + thread / BLOCK] = sum
 
 
 @wp.func
-def total(partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
+def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
     """Sum of the partial sums of all blocks, for every thread of a block. All of them must call."""
     own = wp.float64(0.0)
-    for k in range(wp.tid() % BLOCK, blocks, BLOCK):
+    for k in range(thread % BLOCK, blocks, BLOCK):
         own += partial[first + k]
     whole = wp.tile_sum(wp.tile(own))
     return whole[0]
@@ -51,7 +51,7 @@ def parallel_scale(scalar):
         own = wp.float64(0.0)
         if i < count:
             own = wp.float64(weight[i])
-        keep(partial, 0, own)
+        keep(i, partial, 0, own)
 
     @wp.kernel(enable_backward=False, module="unique")
     def divide(
@@ -60,8 +60,9 @@ def parallel_scale(scalar):
         partial: wp.array(dtype=wp.float64),
         factor: wp.array(dtype=wp.float64),
     ):
-        sum = total(partial, 0, blocks)
-        if wp.tid() == 0:
+        i = wp.tid()
+        sum = total(i, partial, 0, blocks)
+        if i == 0:
             factor[0] = wp.where(sum > wp.float64(0.0), wanted / sum, wp.float64(0.0))
 
     return gather, divide

@@ -97,7 +97,7 @@ def test_the_study_command(tmp_path):
     for words, complaint in (
         (["pipe", "--speed", "1"], "--speed: is no parameter"),
         (["pipe", "--velocity", "fast"], "must be a number"),
-        (["tube", "--velocity", "1"], "scene = 'tube'"),
+        (["chute", "--velocity", "1"], "scene = 'chute'"),
         (["pipe", "--velocity", "0.3", "--repeat", "0"], "repeat = 0"),
         (["--resume", str(tmp_path)], "is no study's folder"),
     ):

@@ -20,7 +20,6 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
-    from .fluid import FluidScene
     from .fluid_simulation import FluidSimulation
     from .scene import Scene
     from .simulation import Run, Simulation
@@ -29,7 +28,6 @@ __all__ = [
     "CapacityError",
     "ConvergenceError",
     "DeviceError",
-    "FluidScene",
     "FluidSimulation",
     "InstabilityError",
     "Run",
@@ -43,7 +41,6 @@ __all__ = [
 
 _LAZY = {
     "Simulation": "simulation", "Run": "spine", "Scene": "scene", "FluidSimulation": "fluid_simulation",
-    "FluidScene": "fluid",
 }  # fmt: skip
 
 

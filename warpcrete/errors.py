@@ -38,10 +38,11 @@ class ConvergenceError(InstabilityError):
         shown = [
             history[k] for k in sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1}) if k < len(history)
         ]
+        path = ", ".join(f"{x:.2g}" for x in shown)
         super().__init__(
-            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = {most}); "
-            f"residual {residual:.3g}, on the way {', '.join(f'{x:.2g}' for x in shown)}; usual cures: a smaller time "
-            "step, a larger tolerance, more iterations, precision float64"
+            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = {most});"
+            f" residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, a larger tolerance, more "
+            "iterations, precision float64"
         )
 
 

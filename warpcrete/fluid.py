@@ -105,6 +105,8 @@ class FluidScene:
         if isinstance(self.most_iterations, bool) or self.most_iterations < 1:
             refuse("most_iterations", self.most_iterations, "must be a whole number, 1 or more")
         one_of("precision", self.precision, PRECISIONS)
+        if self.literal and self.aggregates is not None:
+            refuse("literal", True, "shows the scheme of one phase", "leave out aggregates")
         across = 2 * self.radius / self.spacing
         if across < FEWEST_ACROSS - 0.5:
             refuse(
@@ -231,7 +233,7 @@ def driven_column(
 
 
 def check_flow(run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a flow: name -> (passed, what was found). Two phases may differ more from a single fluid's theory."""
+    """Acceptance of a flow: name -> (passed, what was found). Two phases may differ more from one fluid's theory."""
     result, two = run.result, run.scene.aggregates is not None
     limit = 0.03 if two else 0.02 if run.scene.dimensions == 3 else 0.01
     pressure, slip = result["pressure_error"], result["slip_velocity_error"]

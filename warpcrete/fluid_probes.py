@@ -62,10 +62,7 @@ def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> di
 
     stress = flow.traction.numpy().astype(float)
     weight = flow.wall_weight.numpy().astype(float) * float(flow.wall_scale.numpy()[0])
-    # In the frame of the wall: what the layer does is the velocity there.
-    to_wall = np.maximum(scene.radius - snap.distance, 0.0)
-    apparent = np.maximum(flow.viscosity.numpy(), 1e-30)  # 0 before the first step
-    slip = snap.velocity - to_wall * stress / apparent
+    slip = snap.velocity - stress * flow.compliance.numpy()
     middle = (share > MIDDLE[0]) & (share < MIDDLE[1])
     wet = middle & (weight > 0)
     theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))

@@ -68,9 +68,9 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     from .pipeline import pipeline_estimate
     from .progress import ProgressBar
     from .provenance import write_json
-    from .record_plot import PlotRecorder
+    from .recorders import recorder_types
     from .run_folder import TableRecorder, check_new, next_folder, read_json
-    from .simulation import Recorder, Simulation
+    from .simulation import Simulation
 
     folder = out if out is not None else next_folder(name)
     if not going_on:
@@ -97,29 +97,23 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
                                checkpoint_every, threads or default_threads())))  # fmt: skip
     fluid = isinstance(scene, FluidScene)
-    if fluid:
-        from .record_fluid import COLOURINGS, FlowPlotRecorder, FluidRerunRecorder, FluidUsdRecorder
-
-        one_of("colour", colour, COLOURINGS)
-        if network:
-            refuse("network", network, "draws the contacts of discrete elements; a flow has none")
-        methods: Any = FluidRerunRecorder, FluidUsdRecorder
-        plot: Recorder = FlowPlotRecorder(folder / "flow.png", colour)
-    else:
-        from .record_rerun import RerunRecorder
-        from .record_usd import UsdRecorder
-
-        methods = RerunRecorder, UsdRecorder
-        plot = PlotRecorder(folder / "pressure.png", scene.notes.get("paper"))
+    rerun_type, usd_type, plot_type = recorder_types(fluid)
+    one_of("colour", colour, rerun_type.COLOURINGS)
+    if fluid and network:
+        refuse("network", network, "draws the contacts of discrete elements; a flow has none")
     recorders: list[Any] = [TableRecorder(folder, settings)]
     if rerun or live:
         target = True if live == "spawn" else (live or False)
         recorders.append(
-            methods[0](folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
+            rerun_type(folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
         )
     if usd:
-        recorders.append(methods[1](folder / "scene.usdc", colouring=colour))
-    recorders.append(plot)
+        recorders.append(usd_type(folder / "scene.usdc", colouring=colour))
+    recorders.append(
+        plot_type(folder / "flow.png", colour)
+        if fluid
+        else plot_type(folder / "pressure.png", scene.notes.get("paper"))
+    )
 
     progress = ProgressBar()
     simulation = (FluidSimulation if fluid else Simulation)(

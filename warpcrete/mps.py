@@ -26,6 +26,7 @@ from .fluid_state import CUTOFF, WIDE, FluidState, Layout
 from .interrupts import put_off
 from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME, parallel_solver, serial_solver
 from .kernels.mps_lists import list_kernels
+from .kernels.mps_literal import LAPLACIAN, literal_kernels
 from .kernels.mps_operators import (
     advance_kernel,
     divergence_kernel,
@@ -54,7 +55,7 @@ from .kernels.sums import BLOCK, parallel_scale, serial_scale
 from .kernels.threads import barrier
 from .stages import Stage
 
-SKIN = 0.2  # of the lists, over the spacing: particles keep their neighbours for long, the column moves as a whole
+SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
 CORRECTION = 0.2  # share of the density's error that one step takes away
 VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
 HISTORY = 256  # iterations whose residual is kept
@@ -95,8 +96,10 @@ class MovingParticles:
         self.fluid_inverse, self.whole_inverse = zeros(t.mat), zeros(t.mat)
         self.free = zeros(wp.int32)
         self.inverse_number, self.crowding, self.predicted = (zeros(self.scalar) for _ in range(3))
-        self.wall_weight, self.traction, self.viscosity = (zeros(self.scalar) for _ in range(3))
-        """Area of wall that a particle stands for over its volume [1/m]; the wall's stress [Pa]; apparent [Pa s]."""
+        self.wall_weight, self.traction = zeros(self.scalar), zeros(self.scalar)
+        """Area of wall that a particle stands for over its volume, but for a factor [1/m]; the wall's stress [Pa]."""
+        self.viscosity, self.compliance = zeros(self.scalar), zeros(self.scalar)
+        """Apparent [Pa s]; velocity from the wall to the particle over the wall's stress [m/s/Pa]."""
         self.diagonal, self.drag = zeros(self.scalar), zeros(self.scalar)
         self.increment, self.potential = zeros(self.scalar), zeros(self.scalar)
         self.moved, self.built = zeros(t.vec), zeros(t.vec)
@@ -129,17 +132,13 @@ class MovingParticles:
         flow = fluid_struct(self.scalar)()
         layout, d = state.layout, scene.dimensions
         l0 = layout.spacing
-        reach = math.ceil(WIDE) + 1
-        cells = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1.0)] * d), -1).reshape(-1, d)
-        r = np.linalg.norm(cells, axis=1)
-        near = r[(r > 0) & (r < CUTOFF)]
         fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
         values = dict(
             count=state.count,
             spacing=l0,
             cutoff=CUTOFF * l0,
             wide=WIDE * l0,
-            lattice_number=float(np.sum(CUTOFF / near - 1)),
+            lattice_number=_lattice_number(d, CUTOFF),
             lattice_density=_density_at_start(layout),
             radius=scene.radius,
             piston_speed=scene.velocity,
@@ -169,12 +168,18 @@ class MovingParticles:
 
     # Lists.
 
+    @property
+    def _list_reach(self) -> tuple[float, float]:
+        """Of near and of all neighbours [m]."""
+        near = LAPLACIAN if self.scene.literal else CUTOFF
+        return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
+
     def _reserve(self, factor: float) -> None:
         """Rows of lists for what the lattice has, and as much again in crowds."""
         d = self.scene.dimensions
-        near = (math.pi if d == 2 else 4 / 3 * math.pi) * (CUTOFF + SKIN) ** d
-        whole = (math.pi if d == 2 else 4 / 3 * math.pi) * (WIDE + SKIN) ** d
-        near, far, wall = (int(factor * 1.6 * x) + 8 for x in (near, whole - near, 0.55 * whole))
+        ball = math.pi if d == 2 else 4 / 3 * math.pi
+        near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
+        near, far, wall = (int(factor * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole))
         n, device = self.state.count, self.device
         self.capacity = near, far, wall
         self.near_count, self.far_count, self.near_wall = (wp.zeros(n, dtype=wp.int32, device=device) for _ in range(3))
@@ -194,7 +199,7 @@ class MovingParticles:
             inputs=[self.flow, state.position, state.wall_position, self.points, self.built],
             device=self.device,
         )
-        self.grid.build(self.points, float((WIDE + SKIN) * state.layout.spacing))
+        self.grid.build(self.points, self._list_reach[1])
         factor = 1.0
         while True:
             near, far, wall = self.capacity
@@ -202,7 +207,7 @@ class MovingParticles:
                 search,
                 dim=state.count,
                 inputs=[
-                    self.flow, self.grid.id, near, far, wall, self.points, state.flags, self.near_count, self.near,
+                    self.flow, *self._list_reach, self.grid.id, near, far, wall, self.points, state.flags, self.near_count, self.near,
                     self.far_count, self.far, self.near_wall, self.wall,
                 ],
                 device=self.device,
@@ -246,7 +251,7 @@ class MovingParticles:
             geometry_kernel(scalar, d, serial, two_phase),
             [*own, near, far, wall, *lists, self.far_count, self.far, self.near_wall, self.wall, s.group, s.position,
              s.wall_position, s.velocity, s.pressure, self.pair_weight, self.fluid_inverse, self.whole_inverse,
-             self.inverse_number, self.free, self.crowding, self.wall_weight, self.viscosity, self.predicted],
+             self.inverse_number, self.free, self.crowding, self.wall_weight, self.viscosity, self.compliance, self.predicted],
         )  # fmt: skip
         wanted = self.wet_area / s.layout.volume
         if serial:
@@ -258,10 +263,18 @@ class MovingParticles:
             gather, divide = parallel_scale(scalar)
             stages.append(self._blocks(gather, [s.count, self.wall_weight, self.viscous.partial]))
             stages.append(self._blocks(divide, [self.blocks, wanted, self.viscous.partial, self.wall_scale], 1))
+        weights, source, project = literal_kernels(scalar, d, serial)
+        if scene.literal:
+            number = _lattice_number(d, LAPLACIAN)
+            stages += stage(
+                weights,
+                [*own, near, LAPLACIAN * s.layout.spacing, number, *lists, s.position, self.pair_weight,
+                 self.inverse_number, self.predicted],
+            )  # fmt: skip
         stages += stage(
             momentum_kernel(scalar, d, serial, two_phase),
             [*own, near, *lists, s.density, s.position, s.velocity, self.pair_weight, self.inverse_number,
-             self.fluid_inverse, self.wall_weight, self.wall_scale, self.viscosity, self.predicted,
+             self.fluid_inverse, self.wall_weight, self.wall_scale, self.viscosity, self.compliance, self.predicted,
              self.pair_coefficient, self.diagonal, self.drag, self.traction, self.viscous.residual],
         )  # fmt: skip
         size = math.sqrt(s.count)
@@ -278,6 +291,10 @@ class MovingParticles:
             VELOCITY_ERROR * rate * scene.velocity * size,
         )
         stages += stage(
+            source,
+            [*own, near, wall, *lists, self.near_wall, self.wall, self.free, s.position, s.wall_position, s.velocity,
+             self.pair_weight, self.pair_coefficient, self.diagonal, self.projection.residual, self.increment],
+        ) if scene.literal else stage(
             divergence_kernel(scalar, d, serial, two_phase),
             [*own, near, wall, *lists, self.near_wall, self.wall, s.density, self.free, s.position, s.wall_position,
              s.velocity, self.pair_weight, self.inverse_number, self.whole_inverse, self.pair_coefficient,
@@ -288,15 +305,20 @@ class MovingParticles:
             1e-6 * rate * scene.velocity / scene.radius * size,
         )  # fmt: skip
         stages += stage(
+            project,
+            [*own, near, wall, *lists, self.near_wall, self.wall, s.position, s.wall_position, self.increment,
+             s.velocity, s.pressure],
+        ) if scene.literal else stage(
             gradient_kernel(scalar, d, serial, two_phase),
             [*own, near, *lists, s.density, s.position, self.pair_weight, self.fluid_inverse, self.predicted,
              self.increment, s.velocity, s.pressure],
         )  # fmt: skip
-        stages += self._solve(self.spreading, False, DENSITY, self.potential, part, first, end, 0.1, 1e-7 * size)
-        stages += stage(
-            shift_kernel(scalar, d, serial),
-            [*own, near, *lists, s.position, self.pair_weight, self.fluid_inverse, self.potential, self.moved],
-        )
+        if not scene.literal:
+            stages += self._solve(self.spreading, False, DENSITY, self.potential, part, first, end, 0.1, 1e-7 * size)
+            stages += stage(
+                shift_kernel(scalar, d, serial),
+                [*own, near, *lists, s.position, self.pair_weight, self.fluid_inverse, self.potential, self.moved],
+            )
         velocities, places = rigid_kernels(scalar, d)
         g = self.grain_arrays
         if two_phase and part == 0:
@@ -479,6 +501,14 @@ class Loop:
     def _once(self) -> None:
         for stage in self.body:
             stage()
+
+
+def _lattice_number(dimensions: int, reach: float) -> float:
+    """Sum of weights of a particle inside a square or cubic lattice; `reach` over its spacing."""
+    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
+    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
+    r = r[(r > 0) & (r < reach)]
+    return float(np.sum(reach / r - 1))
 
 
 def _density_at_start(layout: Layout) -> float:

@@ -25,14 +25,22 @@ import numpy as np
 
 from .batch import default_threads
 from .errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, positive, refuse
+from .fluid import FluidScene
+from .fluid_simulation import FluidSimulation
 from .model import find_device
 from .provenance import provenance, write_json
-from .record_plot import PlotRecorder
+from .recorders import recorder_types
 from .run_folder import TableRecorder, check_new, read_json
 from .simulation import Recorder, Run, Simulation
 from .together import run_together
 
 FIGURES = {"peak_pressure": "Pa", "plateau_pressure": "Pa"}
+FLOW_FIGURES = {
+    "pressure": "Pa", "pressure_theory": "Pa", "pressure_error": "1", "slip_velocity": "m/s",
+    "slip_velocity_error": "1", "profile_error": "1",
+}  # fmt: skip
+"""What a study of flows compares."""
+SHOWN = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "1": (100.0, "%")}
 FAILED = "failed.txt"
 
 
@@ -58,6 +66,8 @@ class Study:
     """result.json of every finished case, by name."""
     failures: dict[str, str] = field(default_factory=dict)
     """What ended a case, by name."""
+    figures: Mapping[str, str] = field(default_factory=lambda: FIGURES)
+    """What the cases are compared by, and its unit."""
 
     @property
     def finished(self) -> bool:
@@ -73,8 +83,9 @@ class Study:
         for members in groups.values():
             row: dict[str, Any] = dict(members[0].varied)
             done = [self.results[c.name] for c in members if c.name in self.results]
-            for figure in FIGURES:
-                values = [r[figure]["value"] for r in done if figure in r]
+            for figure in self.figures:
+                found = [r[figure] for r in done if figure in r]
+                values = [f["value"] if isinstance(f, dict) else f for f in found]
                 row[figure] = float(np.mean(values)) if values else float("nan")
                 row[f"{figure}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
             row["runs"] = len(done)
@@ -83,14 +94,18 @@ class Study:
         return rows
 
     def table(self) -> str:
-        """Markdown table, pressures in kPa."""
+        """Markdown table, pressures in kPa, velocities in cm/s, errors in %."""
         names = list(dict.fromkeys(key for case in self.cases for key in case.varied))
-        head = [*names, "peak [kPa]", "plateau [kPa]", "runs", "failed"]
+        titles = [
+            f"{figure.removesuffix('_pressure').replace('_', ' ')} [{SHOWN[unit][1]}]"
+            for figure, unit in self.figures.items()
+        ]
+        head = [*names, *titles, "runs", "failed"]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
         for row in self.rows():
             cells = [str(row.get(name, "")) for name in names]
-            for figure in FIGURES:
-                mean, scatter = row[figure] / 1e3, row[f"{figure}_scatter"] / 1e3
+            for figure, unit in self.figures.items():
+                mean, scatter = (row[name] * SHOWN[unit][0] for name in (figure, f"{figure}_scatter"))
                 cells.append(f"{mean:.2f}" + (f" +- {scatter:.2f}" if np.isfinite(scatter) else ""))
             lines.append("| " + " | ".join([*cells, str(row["runs"]), str(row["failed"])]) + " |")
         return "\n".join(lines)
@@ -197,7 +212,8 @@ def resume_study(
         command = record["command"]
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
-    study = Study(folder, cases)
+    fluid = bool(cases) and isinstance(module.scene(**cases[0].parameters), FluidScene)
+    study = Study(folder, cases, figures=FLOW_FIGURES if fluid else FIGURES)
     pending = []
     for case in cases:
         if not _known(study, case):
@@ -230,22 +246,20 @@ def _known(study: Study, case: Case) -> bool:
 
 
 def _simulation(record: dict[str, Any], module: Any, command: dict[str, Any], folder: Path, case: Case, threads: int,
-                tell: Callable[[str, float, dict[str, Any]], None]) -> tuple[Simulation, Path | None]:  # fmt: skip
+                tell: Callable[[str, float, dict[str, Any]], None]) -> tuple[Any, Path | None]:  # fmt: skip
     parameters = dict(case.parameters)
     scene = module.scene(**parameters)
     here = folder / case.name
     recorders: list[Recorder] = [TableRecorder(here)]
+    fluid = isinstance(scene, FluidScene)
+    rerun, usd, plot = recorder_types(fluid)
     if command["rerun"]:
-        from .record_rerun import RerunRecorder
-
-        recorders.append(RerunRecorder(here / "run.rrd"))
+        recorders.append(rerun(here / "run.rrd"))
     if command["usd"]:
-        from .record_usd import UsdRecorder
-
-        recorders.append(UsdRecorder(here / "scene.usdc"))
-    recorders.append(PlotRecorder(here / "pressure.png", scene.notes.get("paper")))
+        recorders.append(usd(here / "scene.usdc"))
+    recorders.append(plot(here / "flow.png") if fluid else plot(here / "pressure.png", scene.notes.get("paper")))
     every = command["checkpoint_every"]
-    simulation = Simulation(
+    simulation = (FluidSimulation if fluid else Simulation)(
         scene,
         device=record["device"],
         precision=record["precision"],
@@ -296,6 +310,27 @@ class _StopAtSample:
             signal.signal(signal.SIGINT, self._previous)
 
 
+def run_all(pairs: Sequence[tuple[Any, Path | None]], progress: Callable[[str, float], None]) -> list[Any]:
+    """Run simulations, from their checkpoints where there are any: discrete elements together, flows in turn.
+
+    Returns a :class:`Run` or an exception for each.
+    """
+    simulations = [simulation for simulation, _ in pairs]
+    if not simulations or isinstance(simulations[0], Simulation):
+        return run_together(simulations, checkpoints=[checkpoint for _, checkpoint in pairs], progress=progress)
+    outcomes: list[Any] = []
+    for simulation, checkpoint in pairs:
+        try:
+            if checkpoint is not None:
+                simulation.resume(checkpoint)
+            elif simulation.stop_requested:
+                raise KeyboardInterrupt
+            outcomes.append(simulation.run())
+        except (Exception, KeyboardInterrupt) as error:
+            outcomes.append(error)
+    return outcomes
+
+
 def _run_on_gpu(record, module, command, folder, pending, study, tell) -> None:
     shares = dict.fromkeys((c.name for c in pending), 0.0)
 
@@ -316,7 +351,7 @@ def _run_on_gpu(record, module, command, folder, pending, study, tell) -> None:
                     raise KeyboardInterrupt
                 tell(phase, share, {})
 
-        outcomes = run_together(stop.simulations, checkpoints=[checkpoint for _, checkpoint in pairs], progress=packing)
+        outcomes = run_all(pairs, packing)
     for case, outcome in zip(pending, outcomes):
         _book(study, case, outcome)
 
@@ -379,9 +414,7 @@ def _run_case(record, module_name: str, command, folder: str, case: Case) -> tup
 
     module = importlib.import_module(module_name)
     simulation, checkpoint = _simulation(record, module, command, Path(folder), case, 1, hear)
-    (outcome,) = run_together(
-        [simulation], checkpoints=[checkpoint], progress=lambda phase, share: hear(phase, share, {})
-    )
+    (outcome,) = run_all([(simulation, checkpoint)], lambda phase, share: hear(phase, share, {}))
     if isinstance(outcome, Run):
         return outcome.finished, outcome.result, None
     return False, None, outcome if isinstance(outcome, Exception) else None
@@ -394,7 +427,7 @@ def _write(study: Study, title: str) -> None:
     partial = study.folder / "study.csv.partial"
     with partial.open("w", newline="") as file:
         writer = csv.writer(file)
-        units = FIGURES | {f"{name}_scatter": unit for name, unit in FIGURES.items()}
+        units = {**study.figures, **{f"{name}_scatter": unit for name, unit in study.figures.items()}}
         writer.writerow([f"{name} [{units[name]}]" if name in units else name for name in names])
         writer.writerows([[row.get(name, "") for name in names] for row in rows])
     partial.replace(study.folder / "study.csv")
@@ -406,13 +439,14 @@ def _write(study: Study, title: str) -> None:
 
 
 def draw(study: Study, title: str = ""):
-    """Matplotlib figure: peak and plateau of the pumping pressure over each varied parameter, with their scatter."""
+    """Matplotlib figure: the pressures that a study compares over each varied parameter, with their scatter."""
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(key for case in study.cases for key in case.varied)) or ["seed"]
     figure = Figure(figsize=(4.6 * min(len(names), 3), 3.6 * -(-len(names) // 3)), layout="constrained")
     grid = figure.subplots(-(-len(names) // 3), min(len(names), 3), squeeze=False, sharey=True).ravel()
     rows = study.rows()
+    drawn = [name for name, unit in study.figures.items() if unit == "Pa"]
     for axes, name in zip(grid, names):
         mine = [row for row in rows if name in row] or rows
         values = list(dict.fromkeys(row.get(name, 0) for row in mine))
@@ -424,12 +458,12 @@ def draw(study: Study, title: str = ""):
             lines.setdefault(label, []).append(row)
         for number, (label, part) in enumerate(lines.items()):
             x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) for row in part]
-            for key, marker, words in (("peak_pressure", "o-", "peak"), ("plateau_pressure", "s--", "plateau")):
+            for key, marker, words in zip(drawn, ("o-", "s--"), [d.removesuffix("_pressure") for d in drawn]):
                 y = np.array([row[key] for row in part]) / 1e3
                 scatter = np.nan_to_num([row[f"{key}_scatter"] for row in part]) / 1e3
                 axes.errorbar(
                     x, y, scatter, fmt=marker, color=f"C{number % 10}", capsize=3, markersize=4, linewidth=1.3,
-                    label=f"{words}, {label}" if label else words,
+                    label=f"{words.replace('_', ' ')}, {label}" if label else words.replace("_", " "),
                 )  # fmt: skip
         if not numeric:
             axes.set_xticks(range(len(values)), [str(v) for v in values])
