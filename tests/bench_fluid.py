@@ -6,8 +6,8 @@
 
 Prints tables: particles, time of a step (best and median of repeats of `--steps` steps after the start has died down),
 iterations of the solves for velocity and pressure, particle-steps a second, errors against theory. With --solvers the
-pressure's equation of one step is solved by our kernels, by `warp.optim.linear.cg` on a `warp.sparse` matrix, and, where
-it is installed, by SciPy, to the same residual.
+pressure's equation of one step is solved by our kernels, by `warp.optim.linear.cg` on a `warp.sparse` matrix, and,
+where it is installed, by SciPy, to the same residual.
 """
 
 import argparse
@@ -50,89 +50,99 @@ def resolutions(args) -> None:
             row = figures(flow)
             velocity, pressure = np.mean(iterations, axis=0)
             theory = flow.theory
-            print(f"| {1e3 * flow.state.layout.spacing:.3g} | {flow.state.count} | {flow.threads} | {1e3 * min(times):.2f} "
-                  f"| {1e3 * np.median(times):.2f} | {velocity:.0f} | {pressure:.0f} "
-                  f"| {1e-6 * flow.state.count / min(times):.2f} | {100 * (row['pressure'] / theory.pressure - 1):+.2f} % "
-                  f"| {100 * (row['slip_velocity'] / theory.slip_velocity - 1):+.2f} % "
-                  f"| {100 * row['profile_error'] / flow.scene.velocity:.2f} % |", flush=True)  # fmt: skip
+            off = [100 * (row[k] / getattr(theory, k) - 1) for k in ("pressure", "slip_velocity")]
+            cells = [
+                f"{1e3 * flow.state.layout.spacing:.3g}", str(flow.state.count), str(flow.threads),
+                f"{1e3 * min(times):.2f}", f"{1e3 * np.median(times):.2f}", f"{velocity:.0f}", f"{pressure:.0f}",
+                f"{1e-6 * flow.state.count / min(times):.2f}", f"{off[0]:+.2f} %", f"{off[1]:+.2f} %",
+                f"{100 * row['profile_error'] / flow.scene.velocity:.2f} %",
+            ]  # fmt: skip
+            print("| " + " | ".join(cells) + " |", flush=True)
     print(f"\n{flow.device.name}; scene {args.scene}, {args.precision}; {args.steps} steps, {args.repeats} repeats; "
           "iterations of single steps vary by a half")  # fmt: skip
 
 
 def solvers(args) -> None:
     """One system, several solvers, to a residual of 1e-4 of its start."""
-    import warp.optim.linear
-    import warp.sparse
-
     print("| spacing [mm] | unknowns | ours [ms] | warp.optim.linear.cg [ms] | SciPy cg [ms] | iterations, ours |")
     print("|---|---|---|---|---|---|")
     for spacing in args.spacings:
-        flow = flow_of(args, spacing, 1)
-        flow.advance(41)
-        n, capacity = flow.state.count, flow.capacity[0]
-        count, near, coefficient = flow.near_count.numpy(), flow.near.numpy(), flow.pair_coefficient.numpy()
-        rows = np.repeat(np.arange(n), count)
-        entry = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
-        at = entry * n + rows if flow.is_cuda else rows * capacity + entry
-        i, j, value = rows, near[at], coefficient[at]
-        inside = flow.free.numpy() == 0
-        keep = inside[i] & inside[j] & (value != 0)
-        diagonal = np.where(inside, flow.diagonal.numpy(), 1.0)
-        right = np.where(inside, np.random.default_rng(0).normal(size=n), 0.0)
-        scalar = flow.scalar
+        solve_one(args, spacing)
+    print(
+        f"\n{find_device(args.device).name}; scene {args.scene}, {args.precision}, one thread; best of {args.repeats}"
+    )
 
-        # Ours: the stages of the solve alone, from the same residual every time.
-        start = wp.array(right, dtype=scalar, device=flow.device)
-        stages = flow._solve(flow.projection, False, 2, flow.increment, 0, 0, n, 1e-4, 0.0)
+
+def solve_one(args, spacing: float) -> None:
+    """A row of the table of solvers."""
+    import warp.optim.linear
+    import warp.sparse
+
+    flow = flow_of(args, spacing, 1)
+    flow.advance(41)
+    n, capacity = flow.state.count, flow.capacity[0]
+    count, near, coefficient = flow.near_count.numpy(), flow.near.numpy(), flow.pair_coefficient.numpy()
+    rows = np.repeat(np.arange(n), count)
+    entry = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+    at = entry * n + rows if flow.is_cuda else rows * capacity + entry
+    i, j, value = rows, near[at], coefficient[at]
+    inside = flow.free.numpy() == 0
+    keep = inside[i] & inside[j] & (value != 0)
+    diagonal = np.where(inside, flow.diagonal.numpy(), 1.0)
+    right = np.where(inside, np.random.default_rng(0).normal(size=n), 0.0)
+    scalar = flow.scalar
+
+    # Ours: the stages of the solve alone, from the same residual every time.
+    start = wp.array(right, dtype=scalar, device=flow.device)
+    stages = flow._solve(flow.projection, False, 2, flow.increment, 0, 0, n, 1e-4, 0.0)
+    if flow.is_cuda:
+        with wp.ScopedCapture(device=flow.device) as capture:
+            for stage in stages:
+                stage()
+
+    def ours():
+        flow.increment.zero_()
+        wp.copy(flow.projection.residual, start)
         if flow.is_cuda:
-            with wp.ScopedCapture(device=flow.device) as capture:
-                for stage in stages:
-                    stage()
-
-        def ours():
-            flow.increment.zero_()
-            wp.copy(flow.projection.residual, start)
-            if flow.is_cuda:
-                wp.capture_launch(capture.graph)
-            else:
-                for stage in stages:
-                    stage()
-
-        matrix = warp.sparse.bsr_from_triplets(
-            n, n,
-            wp.array(np.concatenate([i[keep], np.arange(n)]), dtype=wp.int32, device=flow.device),
-            wp.array(np.concatenate([j[keep], np.arange(n)]), dtype=wp.int32, device=flow.device),
-            wp.array(np.concatenate([-value[keep], diagonal]), dtype=scalar, device=flow.device),
-        )  # fmt: skip
-        solution = wp.zeros(n, dtype=scalar, device=flow.device)
-        jacobi = warp.optim.linear.preconditioner(matrix, "diag")
-
-        def theirs():
-            solution.zero_()
-            warp.optim.linear.cg(matrix, start, solution, tol=1e-4, atol=0.0, maxiter=2000, M=jacobi)
-
-        columns = [best(ours, args.repeats, flow.device), best(theirs, args.repeats, flow.device)]
-        away = np.abs(solution.numpy() - flow.increment.numpy()).max() / np.abs(solution.numpy()).max()
-        assert away < 1e-2, away
-        scipy_time = None
-        try:
-            import scipy.sparse
-            import scipy.sparse.linalg
-        except ImportError:
-            pass
+            wp.capture_launch(capture.graph)
         else:
-            full = scipy.sparse.csr_matrix(
-                (np.concatenate([-value[keep], diagonal]), (np.concatenate([i[keep], np.arange(n)]),
-                 np.concatenate([j[keep], np.arange(n)]))), (n, n))  # fmt: skip
-            inverse = scipy.sparse.diags(1 / diagonal)
-            scipy_time = best(lambda: scipy.sparse.linalg.cg(full, right, rtol=1e-4, M=inverse), args.repeats, None)
-        iterations = int(flow.outcomes()["pressure"]["iterations"])
-        last = "" if scipy_time is None else f"{1e3 * scipy_time:.2f}"
-        print(
-            f"| {spacing:g} | {n} | {1e3 * columns[0]:.2f} | {1e3 * columns[1]:.2f} | {last} | {iterations} |",
-            flush=True,
-        )
-    print(f"\n{flow.device.name}; scene {args.scene}, {args.precision}, one thread; best of {args.repeats}")
+            for stage in stages:
+                stage()
+
+    matrix = warp.sparse.bsr_from_triplets(
+        n, n,
+        wp.array(np.concatenate([i[keep], np.arange(n)]), dtype=wp.int32, device=flow.device),
+        wp.array(np.concatenate([j[keep], np.arange(n)]), dtype=wp.int32, device=flow.device),
+        wp.array(np.concatenate([-value[keep], diagonal]), dtype=scalar, device=flow.device),
+    )  # fmt: skip
+    solution = wp.zeros(n, dtype=scalar, device=flow.device)
+    jacobi = warp.optim.linear.preconditioner(matrix, "diag")
+
+    def theirs():
+        solution.zero_()
+        warp.optim.linear.cg(matrix, start, solution, tol=1e-4, atol=0.0, maxiter=2000, M=jacobi)
+
+    columns = [best(ours, args.repeats, flow.device), best(theirs, args.repeats, flow.device)]
+    away = np.abs(solution.numpy() - flow.increment.numpy()).max() / np.abs(solution.numpy()).max()
+    assert away < 1e-2, away
+    scipy_time = None
+    try:
+        import scipy.sparse
+        import scipy.sparse.linalg
+    except ImportError:
+        pass
+    else:
+        full = scipy.sparse.csr_matrix(
+            (np.concatenate([-value[keep], diagonal]), (np.concatenate([i[keep], np.arange(n)]),
+             np.concatenate([j[keep], np.arange(n)]))), (n, n))  # fmt: skip
+        inverse = scipy.sparse.diags(1 / diagonal)
+        scipy_time = best(lambda: scipy.sparse.linalg.cg(full, right, rtol=1e-4, M=inverse), args.repeats, None)
+    iterations = int(flow.outcomes()["pressure"]["iterations"])
+    last = "" if scipy_time is None else f"{1e3 * scipy_time:.2f}"
+    print(
+        f"| {spacing:g} | {n} | {1e3 * columns[0]:.2f} | {1e3 * columns[1]:.2f} | {last} | {iterations} |",
+        flush=True,
+    )
 
 
 def best(call, repeats: int, device) -> float:

@@ -40,8 +40,8 @@ class ConvergenceError(InstabilityError):
         ]
         path = ", ".join(f"{x:.2g}" for x in shown)
         super().__init__(
-            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = {most});"
-            f" residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, a larger tolerance, more "
+            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations "
+            f"(most_iterations = {most}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, a larger tolerance, more "
             "iterations, precision float64"
         )
 

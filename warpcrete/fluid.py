@@ -113,8 +113,8 @@ class FluidScene:
                 "spacing", self.spacing, f"leaves {across:.2g} particles across the pipe; at least {FEWEST_ACROSS} are "
                 "needed", f"take {2 * self.radius / FEWEST_ACROSS:g} m or less"
             )  # fmt: skip
-        if self.length < 2 * self.spacing:
-            refuse("length", self.length, f"must hold two particles, {2 * self.spacing:g} m")
+        if self.length < 5 * self.spacing:
+            refuse("length", self.length, f"must hold five particles, {5 * self.spacing:g} m")
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
                 "time_step", self.time_step, "lets the piston pass more than half a particle a step",

@@ -52,14 +52,15 @@ def layout(scene: FluidScene) -> Layout:
         inside = np.concatenate([_ring(k, spacing) for k in range(rings)])
         outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
         area = math.pi * scene.radius**2
-    layers = max(2, round(scene.length / spacing))
-    height = (np.arange(layers) + 0.5) * spacing
-    beneath = (np.arange(-LAYERS, 0) + 0.5) * spacing
+    layers = round(scene.length / spacing)
+    step = scene.length / layers  # so that the column has just its length
+    height = (np.arange(layers) + 0.5) * step
+    beneath = (np.arange(-LAYERS, 0) + 0.5) * step
     # The front bulges while it flows: room for that.
-    above = (np.arange(-LAYERS, layers + math.ceil(0.3 * layers) + 2 * LAYERS) + 0.5) * spacing
+    above = (np.arange(-LAYERS, layers + math.ceil(0.3 * layers) + 2 * LAYERS) + 0.5) * step
     wall = np.concatenate([_stacked(inside, beneath), _stacked(outside, above)])
     fluid = _stacked(inside, height)
-    return Layout(spacing, area * layers * spacing / len(fluid), fluid, wall, layers * spacing)
+    return Layout(spacing, area * scene.length / len(fluid), fluid, wall, scene.length)
 
 
 def _ring(number: int, spacing: float) -> np.ndarray:

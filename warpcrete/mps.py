@@ -207,8 +207,8 @@ class MovingParticles:
                 search,
                 dim=state.count,
                 inputs=[
-                    self.flow, *self._list_reach, self.grid.id, near, far, wall, self.points, state.flags, self.near_count, self.near,
-                    self.far_count, self.far, self.near_wall, self.wall,
+                    self.flow, *self._list_reach, self.grid.id, near, far, wall, self.points, state.flags,
+                    self.near_count, self.near, self.far_count, self.far, self.near_wall, self.wall,
                 ],
                 device=self.device,
             )  # fmt: skip
@@ -251,7 +251,8 @@ class MovingParticles:
             geometry_kernel(scalar, d, serial, two_phase),
             [*own, near, far, wall, *lists, self.far_count, self.far, self.near_wall, self.wall, s.group, s.position,
              s.wall_position, s.velocity, s.pressure, self.pair_weight, self.fluid_inverse, self.whole_inverse,
-             self.inverse_number, self.free, self.crowding, self.wall_weight, self.viscosity, self.compliance, self.predicted],
+             self.inverse_number, self.free, self.crowding, self.wall_weight, self.viscosity, self.compliance,
+             self.predicted],
         )  # fmt: skip
         wanted = self.wet_area / s.layout.volume
         if serial:

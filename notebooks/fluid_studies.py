@@ -1,0 +1,347 @@
+"""The studies of Xu, Li & Jiang 2021 and what goes beyond them, as tables and figures.
+
+    python notebooks/fluid_studies.py --device cuda --out studies
+    python notebooks/fluid_studies.py --only resolution flow --out studies
+
+Writes `NAME.md` and `NAME.png` for each study into the new folder; notebooks/fluid.md shows and discusses them.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warpcrete import scenes, theory
+from warpcrete.fluid_simulation import FluidSimulation
+from warpcrete.record_fluid import places, tint
+
+MIXES = ("no1", "no2", "no3")
+FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6, 2500e-6, 3000e-6)
+
+
+class Studies:
+    """What all studies share: the device, the folder, runs."""
+
+    def __init__(self, device: str | None, folder: Path, fine: float, migration: float) -> None:
+        self.device, self.folder, self.fine, self.migration_time = device, folder, fine, migration
+
+    def run(self, scene, keep: bool = False):
+        """Run of a scene; with `keep`, the simulation too."""
+        simulation = FluidSimulation(scene, device=self.device)
+        run = simulation.run()
+        return (run, simulation) if keep else run
+
+    def write(self, name: str, head: list[str], rows: list[list[str]], note: str = "") -> None:
+        """A Markdown table."""
+        lines = ["| " + " | ".join(cells) + " |" for cells in [head, ["---"] * len(head), *rows]]
+        (self.folder / f"{name}.md").write_text("\n".join(lines) + f"\n\n{note}\n")
+        print(f"\n{name}\n" + "\n".join(lines), flush=True)
+
+    def save(self, name: str, figure: Figure) -> None:
+        """The study's picture."""
+        for axes in figure.axes:
+            axes.spines[["top", "right"]].set_visible(False)
+        figure.savefig(self.folder / f"{name}.png", dpi=110)
+
+    def resolution(self) -> None:
+        """Fig. 12: pressure over the spacing, and what the paper does not show: slip velocity, profile, cost."""
+        spacings, rows, runs = (20e-3, 10e-3, 5e-3, 2.5e-3, 2e-3), [], []
+        for spacing in spacings:
+            run = self.run(scenes.channel(spacing=spacing))
+            runs.append(run.result)
+            r = run.result
+            rows.append(
+                [f"{1e3 * spacing:g}", str(r["particles"]), f"{r['pressure']['value'] / 1e3:.3f}",
+                 f"{100 * r['pressure_error']:+.2f}", f"{100 * r['slip_velocity']['value']:.2f}",
+                 f"{100 * r['slip_velocity_error']:+.2f}", f"{100 * r['profile_error']:.2f}",
+                 f"{100 * r['volume_error']:+.3f}", f"{100 * r['force_balance_error']:+.2f}",
+                 f"{r['iterations']['viscosity']:.0f}", f"{r['iterations']['pressure']:.0f}"]
+            )  # fmt: skip
+        orders = [
+            np.log(abs(a["slip_velocity_error"] / b["slip_velocity_error"])) / np.log(s / t)
+            for a, b, s, t in zip(runs, runs[1:3], spacings, spacings[1:])
+        ]
+        self.write(
+            "resolution",
+            ["spacing [mm]", "particles", "pressure [kPa]", "off [%]", "slip [cm/s]", "off [%]", "profile rms [%]",
+             "volume [%]", "balance [%]", "velocity it.", "pressure it."],
+            rows,
+            f"Theory: {runs[0]['pressure_theory']['value'] / 1e3:.3f} kPa, "
+            f"{100 * runs[0]['slip_velocity_theory']['value']:.2f} cm/s. Observed order of the slip velocity, 20 to 10 "
+            f"and 10 to 5 mm: {', '.join(f'{x:.1f}' for x in orders)}.",
+        )  # fmt: skip
+        figure = Figure(figsize=(7, 3.4), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        mm = 1e3 * np.array(spacings)
+        left.plot(mm, [r["pressure"]["value"] / 1e3 for r in runs], "o-", label="ours")
+        left.axhline(runs[0]["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
+        left.axhline(9.40, color="k", linestyle="--", linewidth=0.8, label="printed theory (Xu et al.)")
+        left.set(xlabel="spacing [mm]", ylabel="pressure [kPa]", ylim=(9.2, 9.6))
+        left.legend(frameon=False, fontsize=8)
+        right.loglog(mm, [100 * abs(r["slip_velocity_error"]) for r in runs], "o-", label="slip velocity")
+        right.loglog(mm, [100 * r["profile_error"] for r in runs], "s-", label="profile, rms")
+        right.loglog(mm, 2.5 * (mm / 20) ** 2, ":", color="0.5", label="second order")
+        right.set(xlabel="spacing [mm]", ylabel="error [%]")
+        right.legend(frameon=False, fontsize=8)
+        self.save("resolution", figure)
+
+    def thickness(self) -> None:
+        """Fig. 13: a slip layer of some thickness, by which the concrete is thinner."""
+        rows, pressures = [], []
+        for thickness in (0.0, 2e-3, 4e-3, 6e-3):
+            r = self.run(scenes.channel(slip_thickness=thickness)).result
+            line = theory.Line(slip_thickness=thickness)
+            concrete = scenes.channel(slip_thickness=thickness).concrete
+            thick = theory.steady(concrete, line, 1500e-6, "plane").pressure
+            pressures.append((thickness, r["pressure"]["value"], thick))
+            rows.append(
+                [f"{1e3 * thickness:g}", f"{concrete.slip_viscosity:g}", f"{r['pressure']['value'] / 1e3:.3f}",
+                 f"{r['pressure_theory']['value'] / 1e3:.3f}", f"{thick / 1e3:.3f}"]
+            )  # fmt: skip
+        self.write(
+            "thickness",
+            ["thickness [mm]", "eta_L [Pa s/m]", "pressure [kPa]", "theory, channel of the bulk [kPa]",
+             "theory, Eq. 12 in the plane [kPa]"],
+            rows,
+        )  # fmt: skip
+        figure = Figure(figsize=(4.2, 3.2), layout="constrained")
+        axes = figure.subplots()
+        x, ours, thick = np.array(pressures).T
+        axes.plot(1e3 * x, ours / 1e3, "o-", label="ours")
+        axes.plot(1e3 * x, thick / 1e3, ":", color="0.4", label="theory, Eq. 12 in the plane")
+        axes.set(xlabel="thickness of the slip layer [mm]", ylabel="pressure [kPa]", ylim=(9.0, 10.2))
+        axes.legend(frameon=False, fontsize=8)
+        self.save("thickness", figure)
+
+    def flow(self) -> None:
+        """Figs. 16 and 17: pressure against flow, three concretes, one phase and two."""
+        figure = Figure(figsize=(9.5, 3.4), layout="constrained")
+        rows = []
+        for axes, mix in zip(figure.subplots(1, 3, sharey=True), MIXES):
+            found: dict[bool, list[float]] = {False: [], True: []}
+            for flow in FLOWS:
+                cells = [mix, f"{1e6 * flow:.0f}"]
+                for two in (False, True):
+                    r = self.run(
+                        scenes.channel(mix=mix, flow=flow, aggregates=two, spacing=2.5e-3 if two else 5e-3)
+                    ).result
+                    found[two].append(r["pressure"]["value"] / 1e3)
+                    if not two:
+                        cells.append(f"{r['pressure_theory']['value'] / 1e3:.3f}")
+                        paper = theory.steady(theory.CONCRETES[mix], theory.Line(), flow, "paper")
+                        cells.append(f"{paper.pressure / 1e3:.3f}")
+                    cells += [f"{r['pressure']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
+                              f"{100 * r['slip_velocity']['value']:.2f}", f"{100 * r['slip_velocity_error']:+.2f}"]  # fmt: skip
+                rows.append(cells)
+            smooth = np.linspace(FLOWS[0], FLOWS[-1], 50)
+            line = [theory.steady(theory.CONCRETES[mix], theory.Line(), q, "plane").pressure / 1e3 for q in smooth]
+            axes.plot(1e6 * smooth, line, ":", color="0.4", label="theory, channel")
+            cubic = 1e6 * np.array(FLOWS)
+            axes.plot(cubic, found[False], "o", markersize=5, label="one phase")
+            axes.plot(cubic, found[True], "x", markersize=6, label="two phases")
+            axes.set(xlabel="flow [cm3/s]", title=mix)
+        figure.axes[0].set_ylabel("pressure [kPa]")
+        figure.axes[0].legend(frameon=False, fontsize=8)
+        self.save("flow", figure)
+        self.write(
+            "flow",
+            ["mix", "flow [cm3/s]", "theory, channel [kPa]", "theory as printed [kPa]", "one phase [kPa]", "off [%]",
+             "slip [cm/s]", "off [%]", "two phases [kPa]", "off [%]", "slip [cm/s]", "off [%]"],
+            rows,
+        )  # fmt: skip
+
+    def fields(self) -> None:
+        """Figs. 14, 15 and 18: pressure and velocity of all particles, profiles at three heights."""
+        figure = Figure(figsize=(10, 4.4), layout="constrained")
+        shown = figure.subplots(1, 5, width_ratios=[0.6, 0.6, 0.6, 0.6, 2])
+        rows = []
+        for k, two in enumerate((False, True)):
+            run, simulation = self.run(scenes.channel(spacing=self.fine, aggregates=two), keep=True)
+            r, words = run.result, "two phases" if two else "one phase"
+            place = places(simulation)
+            place[:, 2] -= run.series["travel"][-1]
+            for m, colouring in enumerate(("pressure", "phase" if two else "speed")):
+                axes = shown[2 * k + m]
+                axes.scatter(100 * place[:, 0], 100 * place[:, 2], s=1.6, c=tint(simulation, colouring) / 255, lw=0)
+                axes.set(aspect="equal", title=f"{words},\nby {colouring}", xlim=(-5.2, 5.2), ylim=(-0.5, 31.5))
+                axes.title.set_fontsize(8)
+            for part, colour in zip(r["profiles"], ("C0", "C1", "C2")):
+                shown[4].plot(
+                    100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]),
+                    "x" if two else "o", color=colour, markersize=4,
+                    label=f"{words}, {100 * part['height']['value']:.0f} cm",
+                )  # fmt: skip
+            rows.append(
+                [words, f"{100 * r['slip_velocity']['value']:.2f}", "18.4" if two else "18.6",
+                 f"{100 * r['slip_velocity_theory']['value']:.2f}", f"{r['pressure']['value'] / 1e3:.3f}",
+                 f"{100 * _plug(r):.1f}", "2.0" if two else "1.0"]
+            )  # fmt: skip
+        radius = np.linspace(0, 0.05, 200)
+        state = theory.steady(theory.CONCRETES["no1"], theory.Line(), 1500e-6, "plane")
+        curve = 100 * theory.velocity(theory.CONCRETES["no1"], theory.Line(), state, radius)
+        shown[4].plot(100 * radius, curve, ":", color="0.3", label="theory")
+        shown[4].set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
+        shown[4].legend(frameon=False, fontsize=7)
+        self.save("fields", figure)
+        self.write(
+            "fields",
+            ["model", "slip [cm/s]", "printed (Xu et al.)", "theory", "pressure [kPa]", "plug to 1 % of the range [cm]",
+             "printed plug [cm]"],
+            rows,
+            f"Plug of the theory: {100 * state.plug_radius:.2f} cm.",
+        )  # fmt: skip
+
+    def rigidity(self) -> None:
+        """What the numerical viscosity of the aggregate does."""
+        rows = []
+        for viscosity in (1e3, 3e3, 1e4, 3e4, 1e5):
+            run = self.run(scenes.channel(spacing=2.5e-3, aggregates=True, aggregate_viscosity=viscosity))
+            r = run.result
+            rows.append(
+                [f"{viscosity:g}", f"{r['pressure']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
+                 f"{100 * r['slip_velocity']['value']:.2f}", f"{100 * r['slip_velocity_error']:+.2f}",
+                 f"{r['iterations']['viscosity']:.0f}", f"{1e3 * r['speed']['wall_time']['value'] / r['steps']:.1f}"]
+            )  # fmt: skip
+        self.write(
+            "rigidity",
+            ["mu_CA [Pa s]", "pressure [kPa]", "off [%]", "slip [cm/s]", "off [%]", "velocity it.", "a step [ms]"],
+            rows,
+        )
+
+    def migration(self) -> None:
+        """Fig. 21: share of aggregate inside and outside, in front and behind, over time."""
+        figure = Figure(figsize=(8, 3.4), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        rows = []
+        for number, mix in enumerate(MIXES):
+            run = self.run(
+                scenes.channel(mix=mix, spacing=self.fine, aggregates=True, duration=self.migration_time,
+                               sample_interval=0.05)
+            )  # fmt: skip
+            s = run.series
+            for axes, (one, two) in ((left, ("inner", "outer")), (right, ("front", "rear"))):
+                axes.plot(s["time"], 100 * s[f"aggregate_{one}"], f"C{number}-", label=f"{mix}, {one}")
+                axes.plot(s["time"], 100 * s[f"aggregate_{two}"], f"C{number}--", label=f"{mix}, {two}")
+            # Noise of single grains that cross a border: means over the first and the last tenth.
+            first, last = s["time"] <= 0.1 * s["time"][-1], s["time"] >= 0.9 * s["time"][-1]
+            change = {
+                k: 100 * (s[f"aggregate_{k}"][last].mean() - s[f"aggregate_{k}"][first].mean())
+                for k in ("inner", "outer", "front", "rear")
+            }
+            rows.append(
+                [mix, *(f"{change[k]:+.2f}" for k in change), f"{100 * run.result['volume_error']:+.3f}",
+                 f"{100 * run.result['pressure_error']:+.2f}", f"{run.result['speed']['wall_time']['value']:.0f}"]
+            )  # fmt: skip
+        for axes in (left, right):
+            axes.set(xlabel="time [s]", ylabel="share of aggregate [%]")
+            axes.legend(frameon=False, fontsize=7)
+        self.save("migration", figure)
+        self.write(
+            "migration",
+            [
+                "mix",
+                "inner [points]",
+                "outer",
+                "front",
+                "rear",
+                "largest volume error",
+                "pressure off [%]",
+                "wall time [s]",
+            ],
+            rows,
+        )
+
+    def tube(self) -> None:
+        """The round pipe, which the paper could not take."""
+        rows = []
+        for mix in MIXES:
+            for spacing in (20e-3, 10e-3, 5e-3):
+                r = self.run(scenes.tube(mix=mix, spacing=spacing)).result
+                rows.append(
+                    [mix, f"{1e3 * spacing:g}", str(r["particles"]), f"{r['pressure']['value'] / 1e3:.3f}",
+                     f"{r['pressure_theory']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
+                     f"{100 * r['slip_velocity_error']:+.2f}", f"{100 * r['profile_error']:.2f}",
+                     f"{r['speed']['wall_time']['value'] / r['steps'] * 1e3:.1f}"]
+                )  # fmt: skip
+        self.write(
+            "tube",
+            ["mix", "spacing [mm]", "particles", "pressure [kPa]", "theory, pipe [kPa]", "off [%]", "slip off [%]",
+             "profile rms [%]", "a step [ms]"],
+            rows,
+        )  # fmt: skip
+
+    def literal(self) -> None:
+        """The scheme as printed, with one sign mended."""
+        rows, figure = [], Figure(figsize=(7.5, 3.2), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        for literal in (False, True):
+            run = self.run(scenes.channel(literal=literal, duration=1.0, sample_interval=0.02))
+            r, s, words = run.result, run.series, "as printed" if literal else "ours"
+            left.plot(s["time"][1:], s["pressure"][1:] / 1e3, label=words)
+            right.plot(s["time"], 100 * s["volume_error"], label=words)
+            rows.append(
+                [words, f"{r['pressure']['value'] / 1e3:.2f}", f"{100 * r['pressure_error']:+.1f}",
+                 f"{100 * r['slip_velocity_error']:+.2f}", f"{100 * r['volume_error']:+.3f}",
+                 f"{100 * r['force_balance_error']:+.1f}"]
+            )  # fmt: skip
+        left.axhline(r["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
+        left.set(xlabel="time [s]", ylabel="pressure [kPa]", ylim=(0, None))
+        right.set(xlabel="time [s]", ylabel="volume error [%]")
+        left.legend(frameon=False, fontsize=8)
+        self.save("literal", figure)
+        self.write(
+            "literal",
+            ["scheme", "pressure [kPa]", "off [%]", "slip off [%]", "volume [%]", "balance of forces [%]"],
+            rows,
+        )
+
+    def long(self) -> None:
+        """Five seconds of flow: what the scheme keeps."""
+        rows = []
+        for mix in MIXES:
+            run = self.run(scenes.channel(mix=mix, duration=5.0, sample_interval=0.05))
+            s, r = run.series, run.result
+            off = np.abs(s["pressure"][1:] / r["pressure_theory"]["value"] - 1).max()
+            rows.append(
+                [mix, f"{100 * off:.2f}", f"{100 * r['pressure_error']:+.2f}", f"{100 * r['slip_velocity_error']:+.2f}",
+                 f"{100 * r['profile_error']:.2f}", f"{100 * r['volume_error']:+.3f}",
+                 f"{100 * r['force_balance_error']:+.2f}", f"{r['speed']['wall_time']['value']:.0f}"]
+            )  # fmt: skip
+        self.write(
+            "long",
+            ["mix", "pressure off, at most [%]", "mean of the last second [%]", "slip off [%]", "profile rms [%]",
+             "volume, at most [%]", "balance [%]", "wall time [s]"],
+            rows,
+        )  # fmt: skip
+
+
+def _plug(result: dict) -> float:
+    """Distance to which the velocity in mid-height stays within 1 % of its range below the middle's [m]."""
+    part = result["profiles"][1]
+    radius, velocity = np.array(part["radius"]["value"]), np.array(part["velocity"]["value"])
+    inside = velocity > velocity.max() - 0.01 * (velocity.max() - result["slip_velocity"]["value"])
+    return float(radius[np.argmin(inside) - 1]) if not inside.all() else float(radius[-1])
+
+
+def main() -> None:
+    """Run the studies asked for."""
+    names = ["resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "literal", "long"]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", nargs="+", choices=names, default=names)
+    parser.add_argument("--fine", type=float, default=2e-3, help="spacing of fields and migration [m]")
+    parser.add_argument("--migration", type=float, default=5.0, help="simulated time of migration [s]")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    studies = Studies(args.device, args.out, args.fine, args.migration)
+    for name in args.only:
+        start = time.perf_counter()
+        getattr(studies, name)()
+        print(f"({name}: {time.perf_counter() - start:.0f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()
