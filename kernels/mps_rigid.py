@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from .mps_types import HALTED, fluid_struct, mps_types
+from .mps_types import HALTED, fluid_struct, mps_functions, mps_types
 from .types import types
 
 
@@ -17,8 +17,10 @@ def rigid_kernels(scalar, dimensions: int):
     """`velocities` before particles advance and `places` after it; a thread a grain."""
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
+    f = mps_functions(scalar, dimensions)
     Flow = fluid_struct(scalar)
     flat = dimensions == 2
+    last = dimensions - 1
 
     @wp.func
     def raised(v: t.vec) -> vec3:
@@ -114,6 +116,20 @@ def rigid_kernels(scalar, dimensions: int):
         for i in range(first[g], first[g + 1]):
             step += position[i] - rounding[i] - middle[g]
         centre = middle[g] + step / scalar(first[g + 1] - first[g])
+        # A grain that would reach into a wall goes back as far as its deepest particle does.
+        closest = scalar(0.25) * flow.spacing
+        deepest = scalar(0.0)
+        lowest = scalar(0.0)
+        back = t.vec()
+        for i in range(first[g], first[g + 1]):
+            target = centre + turn[g] * offset[i]
+            out = wp.length(f.across(target)) - (flow.radius - closest)
+            if out > deepest:
+                deepest = out
+                back = f.outward(target)
+            lowest = wp.max(lowest, closest - target[last])
+        centre = centre - deepest * back
+        centre[last] = centre[last] + lowest
         for i in range(first[g], first[g + 1]):
             target = centre + turn[g] * offset[i]
             position[i] = target

@@ -132,8 +132,10 @@ class Studies:
                         cells.append(f"{r['pressure_theory']['value'] / 1e3:.3f}")
                         paper = theory.steady(theory.CONCRETES[mix], theory.Line(), flow, "paper")
                         cells.append(f"{paper.pressure / 1e3:.3f}")
-                    cells += [f"{r['pressure']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
-                              f"{100 * r['slip_velocity']['value']:.2f}", f"{100 * r['slip_velocity_error']:+.2f}"]  # fmt: skip
+                    cells += [
+                        f"{r['pressure']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
+                        f"{100 * r['slip_velocity']['value']:.2f}", f"{100 * r['slip_velocity_error']:+.2f}",
+                    ]  # fmt: skip
                 rows.append(cells)
             smooth = np.linspace(FLOWS[0], FLOWS[-1], 50)
             line = [theory.steady(theory.CONCRETES[mix], theory.Line(), q, "plane").pressure / 1e3 for q in smooth]

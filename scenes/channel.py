@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from warpcrete.fluid import FluidScene, check_flow, driven_column
+from warpcrete.fluid import FluidScene, check_flow, scene_of
 from warpcrete.parameters import checked
 
 PAPER = {"no1": {"pressure": 9.40e3, "slip_velocity": 0.186}}
@@ -49,8 +49,7 @@ def scene(
 
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated, and where nothing would flow.
     """
-    given = dict(locals())
-    return driven_column("channel", 2, parameters=given, notes={"paper": PAPER.get(mix, {})}, **given)
+    return scene_of("channel", 2, dict(locals()), PAPER)
 
 
 check = check_flow

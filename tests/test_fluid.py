@@ -305,6 +305,7 @@ def test_grains_are_rigid_and_stay_whole(device, dimensions):
     after, v = state.position.numpy().astype(float), state.velocity.numpy().astype(float)
     first = state.grains.first
     assert state.grains.count > 3
+    assert np.linalg.norm(after[:, :-1], axis=1).max() <= scene.radius - 0.2499 * state.layout.spacing
     for a, b in itertools.pairwise(first):
         for x in (before, after):
             x[a:b] -= x[a:b].mean(0)

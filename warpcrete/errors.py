@@ -35,14 +35,12 @@ class ConvergenceError(InstabilityError):
         self, time: float, what: str, iterations: int, history: list[float], residual: float, most: int
     ) -> None:
         self.time, self.what, self.iterations, self.history, self.residual = time, what, iterations, history, residual
-        shown = [
-            history[k] for k in sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1}) if k < len(history)
-        ]
-        path = ", ".join(f"{x:.2g}" for x in shown)
+        chosen = sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1})
+        path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
         super().__init__(
-            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations "
-            f"(most_iterations = {most}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, a larger tolerance, more "
-            "iterations, precision float64"
+            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = "
+            f"{most}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, a larger "
+            "tolerance, more iterations, precision float64"
         )
 
 

@@ -6,7 +6,7 @@ Two dimensions are a channel between planes 2 R apart, three a round tube (Xu, L
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -165,71 +165,99 @@ def concrete_of(mix: str, slip_thickness: float = 0.0, **constants: float | None
     return replace(concrete, **given) if given else concrete
 
 
-def driven_column(
-    name: str,
-    dimensions: int,
-    *,
-    mix: str,
-    density: float | None,
-    viscosity: float | None,
-    yield_stress: float | None,
-    slip_viscosity: float | None,
-    slip_yield: float | None,
-    slip_thickness: float,
-    radius: float,
-    length: float,
-    flow: float | None,
-    pressure: float | None,
-    aggregates: bool,
-    aggregate_share: float | None,
-    aggregate_viscosity: float,
-    aggregate_density: float,
-    mortar_viscosity: float | None,
-    mortar_yield: float | None,
-    duration: float | None,
-    gravity: float,
-    **others: Any,
-) -> FluidScene:
-    """Scene of the parameters that `channel` and `tube` share; `others` go to :class:`FluidScene` as they are."""
-    positive("radius", radius, "m")
-    between("slip_thickness", slip_thickness, 0, np.nextafter(radius, 0), "m", "less than the radius")
-    concrete = concrete_of(
-        mix, slip_thickness, density=density, viscosity=viscosity, yield_stress=yield_stress,
-        slip_viscosity=slip_viscosity, slip_yield=slip_yield,
-    )  # fmt: skip
-    bulk = radius - slip_thickness
-    if pressure is not None:
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A concrete, the pipe it is in, and what drives it: what `channel` and `tube` have in common."""
+
+    mix: str = "no1"
+    """A name of `theory.CONCRETES`, or `own`."""
+    density: float | None = None
+    """[kg/m3]; this and the next four replace the mix's constants."""
+    viscosity: float | None = None
+    yield_stress: float | None = None
+    slip_viscosity: float | None = None
+    slip_yield: float | None = None
+    slip_thickness: float = 0.0
+    """[m]; the concrete is thinner by it."""
+    radius: float = 0.05
+    """Of the pipe [m]."""
+    length: float = 0.3
+    """Of the concrete [m]."""
+    flow: float | None = None
+    """Through a round pipe of the radius [m3/s]; 1500 cm3/s if neither this nor `pressure` is given."""
+    pressure: float | None = None
+    """On the piston [Pa]; theory tells the flow."""
+    aggregates: bool = False
+    aggregate_share: float | None = None
+    """Of the volume; None: the mix's gravel."""
+    aggregate_viscosity: float = 1e4
+    aggregate_density: float = 2630.0
+    mortar_viscosity: float | None = None
+    """None: by :func:`mortar_of`, as the next."""
+    mortar_yield: float | None = None
+    gravity: float = 9.81
+
+    def concrete(self) -> Concrete:
+        """Its constants."""
+        return concrete_of(
+            self.mix, self.slip_thickness, density=self.density, viscosity=self.viscosity,
+            yield_stress=self.yield_stress, slip_viscosity=self.slip_viscosity, slip_yield=self.slip_yield,
+        )  # fmt: skip
+
+    def coarse(self, concrete: Concrete) -> Aggregates | None:
+        """The coarse aggregate and its mortar, if there are two phases."""
+        if not self.aggregates:
+            return None
+        share = self.aggregate_share
+        positive("aggregate_density", self.aggregate_density, "kg/m3")
+        if share is None:
+            if self.mix not in MIXES:
+                refuse("aggregate_share", None, "is needed for a mix of one's own")
+            share = MIXES[self.mix]["gravel"] / self.aggregate_density
+        mortar = mortar_of(concrete, share, self.aggregate_density)
+        own = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
+        mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
+        return Aggregates(
+            share=share, mortar=mortar, density=self.aggregate_density, viscosity=self.aggregate_viscosity
+        )
+
+
+def driven_column(name: str, dimensions: int, column: Column, **others: Any) -> FluidScene:
+    """Scene of a column; `others` go to :class:`FluidScene` as they are.
+
+    Raises :class:`SceneError` where the pressure moves nothing.
+    """
+    positive("radius", column.radius, "m")
+    between("slip_thickness", column.slip_thickness, 0, np.nextafter(column.radius, 0), "m", "less than the radius")
+    concrete = column.concrete()
+    bulk, flow = column.radius - column.slip_thickness, column.flow
+    if column.pressure is not None:
         if flow is not None:
             refuse("flow", flow, "is given together with pressure", "leave out one of both")
-        line = Line(radius=bulk, length=length, gravity=gravity)
-        flow = flow_of_pressure(concrete, line, pressure, "plane" if dimensions == 2 else "pipe").flow
+        line = Line(radius=bulk, length=column.length, gravity=column.gravity)
+        flow = flow_of_pressure(concrete, line, column.pressure, "plane" if dimensions == 2 else "pipe").flow
     elif flow is None:
         flow = 1500e-6
     positive("flow", flow, "m3/s", "at rest there is nothing to simulate")
-    coarse = None
-    if aggregates:
-        if aggregate_share is None:
-            if mix not in MIXES:
-                refuse("aggregate_share", None, "is needed for a mix of one's own")
-            aggregate_share = MIXES[mix]["gravel"] / aggregate_density
-        mortar = mortar_of(concrete, aggregate_share, aggregate_density)
-        own = {"viscosity": mortar_viscosity, "yield_stress": mortar_yield}
-        mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
-        coarse = Aggregates(
-            share=aggregate_share, mortar=mortar, density=aggregate_density, viscosity=aggregate_viscosity
-        )
     return FluidScene(
         name=name,
         concrete=concrete,
         dimensions=dimensions,
         radius=bulk,
-        length=length,
+        length=column.length,
         velocity=flow / (np.pi * bulk**2),
-        gravity=gravity,
-        aggregates=coarse,
-        duration=duration,
+        gravity=column.gravity,
+        aggregates=column.coarse(concrete),
         **others,
     )
+
+
+def scene_of(name: str, dimensions: int, given: dict[str, Any], paper: Mapping[str, Any]) -> FluidScene:
+    """Scene of the parameters of a scene function; `paper` has the printed figures of each mix."""
+    names = {f.name for f in fields(Column)}
+    column = Column(**{k: v for k, v in given.items() if k in names})
+    rest = {k: v for k, v in given.items() if k not in names}
+    return driven_column(name, dimensions, column, parameters=given, notes={"paper": paper.get(column.mix, {})}, **rest)
 
 
 def check_flow(run) -> dict[str, tuple[bool, str]]:

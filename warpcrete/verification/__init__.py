@@ -70,9 +70,10 @@ def start(scene: Scene, device: str, precision: str) -> Stepper:
 
 def cases() -> list[Case]:
     """All cases, in the order of the table."""
-    from . import assemblies, bonds, clumps, contacts, impacts, stability
+    from . import assemblies, bonds, clumps, contacts, flows, impacts, stability
 
-    return [case for module in (impacts, contacts, bonds, clumps, assemblies, stability) for case in module.CASES]
+    modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows)
+    return [case for module in modules for case in module.CASES]
 
 
 def run_cases(

@@ -1,0 +1,7 @@
+"""Flows against the closed form of a Bingham fluid with slip."""
+
+from conftest import verification
+
+from warpcrete.verification import flows
+
+test_flows = verification(flows)
