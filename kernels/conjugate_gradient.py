@@ -2,7 +2,7 @@
 
 A row is: diagonal times own value, less the pair coefficients times the neighbours' values; rows of velocities may
 also resist motion along the wall. The preconditioner is the diagonal. A CPU runs a whole solve in one kernel, a thread
-for each chunk of rows, with barriers where sums are formed; a GPU runs four kernels an iteration inside a loop of a
+for each chunk of rows, with barriers where sums are formed; a GPU runs three kernels an iteration inside a loop of a
 CUDA graph. Sums are formed in the same order every time.
 """
 
@@ -12,7 +12,7 @@ import warp as wp
 
 from .mps_types import FAILED, HALTED, fluid_struct, mps_functions, mps_types, row_place
 from .rows import row_product
-from .sums import keep, total
+from .sums import BLOCK, keep, total
 from .threads import meet
 from .types import cpu_flags
 
@@ -172,7 +172,10 @@ def serial_solver(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def parallel_solver(scalar, dimensions: int, vector: bool):
-    """Kernels `begin`, `ready`, `multiply`, `update`, `direct` and `look`, launched with whole blocks of threads."""
+    """Kernels `begin` and `ready`, then `multiply`, `update` and `direct` in turn, launched in whole blocks.
+
+    `now` is 0 and 1 in turn: which of two numbers holds the inner product of residual and preconditioned residual.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = fluid_struct(scalar)
@@ -233,7 +236,7 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         if i == 0:
             goal = wp.max(tolerance * tolerance * rr, enough * enough)
             numbers[0] = rz
-            numbers[1] = goal
+            numbers[2] = goal
             going[0] = 0
             if flags[HALTED] == 0:
                 outcome[ITERATIONS] = wp.float64(0.0)
@@ -254,10 +257,13 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         coefficient: wp.array(dtype=scalar),
         diagonal: wp.array(dtype=scalar),
         drag: wp.array(dtype=scalar),
+        going: wp.array(dtype=wp.int32),
         p: wp.array(dtype=value),
         q: wp.array(dtype=value),
         partial: wp.array(dtype=wp.float64),
     ):
+        if going[0] == 0:
+            return
         i = wp.tid()
         pq = wp.float64(0.0)
         if i < flow.count:
@@ -281,9 +287,11 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
     def update(
         flow: Flow,
         blocks: wp.int32,
+        now: wp.int32,
         free: wp.array(dtype=wp.int32),
         diagonal: wp.array(dtype=scalar),
         drag: wp.array(dtype=scalar),
+        going: wp.array(dtype=wp.int32),
         numbers: wp.array(dtype=wp.float64),
         p: wp.array(dtype=value),
         q: wp.array(dtype=value),
@@ -291,11 +299,13 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         x: wp.array(dtype=value),
         partial: wp.array(dtype=wp.float64),
     ):
+        if going[0] == 0:
+            return
         i = wp.tid()
         pq = total(i, partial, 2 * blocks, blocks)
         alpha = scalar(0.0)
         if pq > wp.float64(0.0):
-            alpha = scalar(numbers[0] / pq)
+            alpha = scalar(numbers[now] / pq)
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if i < flow.count:
@@ -313,45 +323,41 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
     def direct(
         flow: Flow,
         blocks: wp.int32,
-        p: wp.array(dtype=value),
-        q: wp.array(dtype=value),
-        partial: wp.array(dtype=wp.float64),
-        numbers: wp.array(dtype=wp.float64),
-    ):
-        i = wp.tid()
-        rz = total(i, partial, 0, blocks)
-        beta = scalar(rz / numbers[0])
-        if i < flow.count:
-            p[i] = q[i] + beta * p[i]
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def look(
-        blocks: wp.int32,
+        now: wp.int32,
         most: wp.int32,
         what: wp.int32,
         flags: wp.array(dtype=wp.int32),
         partial: wp.array(dtype=wp.float64),
+        going: wp.array(dtype=wp.int32),
         numbers: wp.array(dtype=wp.float64),
+        p: wp.array(dtype=value),
+        q: wp.array(dtype=value),
         outcome: wp.array(dtype=wp.float64),
         history: wp.array(dtype=wp.float64),
-        going: wp.array(dtype=wp.int32),
     ):
+        # The first block may end the loop while others set out: what they then leave out, nobody reads.
+        if going[0] == 0:
+            return
         i = wp.tid()
         rz = total(i, partial, 0, blocks)
-        rr = total(i, partial, blocks, blocks)
-        if i == 0:
-            count = wp.int32(outcome[ITERATIONS])
-            if count < history.shape[0]:
-                history[count] = wp.sqrt(rr)
-            count += 1
-            outcome[ITERATIONS] = wp.float64(count)
-            outcome[AFTER] = wp.sqrt(rr)
-            numbers[0] = rz
-            if rr <= numbers[1]:
-                going[0] = 0
-            elif not (rr > numbers[1]) or count >= most:
-                going[0] = 0
-                flags[FAILED] = what
-                flags[HALTED] = 1
+        beta = scalar(rz / numbers[now])
+        if i < flow.count:
+            p[i] = q[i] + beta * p[i]
+        if i < BLOCK:
+            rr = total(i, partial, blocks, blocks)
+            if i == 0:
+                count = wp.int32(outcome[ITERATIONS])
+                if count < history.shape[0]:
+                    history[count] = wp.sqrt(rr)
+                count += 1
+                outcome[ITERATIONS] = wp.float64(count)
+                outcome[AFTER] = wp.sqrt(rr)
+                numbers[1 - now] = rz
+                if rr <= numbers[2]:
+                    going[0] = 0
+                elif not (rr > numbers[2]) or count >= most:
+                    going[0] = 0
+                    flags[FAILED] = what
+                    flags[HALTED] = 1
 
-    return begin, ready, multiply, update, direct, look
+    return begin, ready, multiply, update, direct

@@ -58,6 +58,7 @@ from .stages import Stage
 SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
 CORRECTION = 0.2  # share of the density's error that one step takes away
 VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
+LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next; an even number
 HISTORY = 256  # iterations whose residual is kept
 GRAPH_STEPS = {"cpu": 8, "cuda": 16}
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
@@ -71,7 +72,7 @@ class Solve:
             return wp.zeros(n, dtype=dtype, device=device)
 
         self.residual, self.direction, self.product = zeros(count, value), zeros(count, value), zeros(count, value)
-        self.partial, self.numbers = zeros(partials, wp.float64), zeros(2, wp.float64)
+        self.partial, self.numbers = zeros(partials, wp.float64), zeros(3, wp.float64)
         self.outcome, self.history = zeros(OUTCOME, wp.float64), zeros(HISTORY, wp.float64)
         self.going = zeros(1, wp.int32)
 
@@ -362,30 +363,25 @@ class MovingParticles:
                 solve.history,
             ]  # fmt: skip
             return [Stage(kernel, 1, arguments, self.device)]
-        begin, ready, multiply, update, direct, look = parallel_solver(self.scalar, d, vector)
+        begin, ready, multiply, update, direct = parallel_solver(self.scalar, d, vector)
         diagonal = [self.free, self.diagonal, self.drag]
-        b, r, p, q = self.blocks, solve.residual, solve.direction, solve.product
-        loop = Loop(
-            solve.going,
-            [
-                self._blocks(multiply, [self.flow, b, near, *matrix, p, q, solve.partial]),
-                self._blocks(update, [self.flow, b, *diagonal, solve.numbers, p, q, r, x, solve.partial]),
-                self._blocks(direct, [self.flow, b, p, q, solve.partial, solve.numbers]),
+        b, r, p, q, numbers = self.blocks, solve.residual, solve.direction, solve.product, solve.numbers
+        going, partial = solve.going, solve.partial
+        body = []
+        for now in (0, 1) * (LOOPED // 2):
+            body += [
+                self._blocks(multiply, [self.flow, b, near, *matrix, going, p, q, partial]),
+                self._blocks(update, [self.flow, b, now, *diagonal, going, numbers, p, q, r, x, partial]),
                 self._blocks(
-                    look,
-                    [b, most, what, s.flags, solve.partial, solve.numbers, solve.outcome, solve.history, solve.going],
-                    1,
+                    direct,
+                    [self.flow, b, now, most, what, s.flags, partial, going, numbers, p, q, solve.outcome,
+                     solve.history],
                 ),
-            ],
-        )
+            ]  # fmt: skip
         return [
-            self._blocks(begin, [self.flow, b, *diagonal, r, p, solve.partial]),
-            self._blocks(
-                ready,
-                [b, tolerance, enough, s.flags, solve.partial, solve.numbers, solve.outcome, solve.going],
-                1,
-            ),
-            loop,
+            self._blocks(begin, [self.flow, b, *diagonal, r, p, partial]),
+            self._blocks(ready, [b, tolerance, enough, s.flags, partial, numbers, solve.outcome, going], 1),
+            Loop(going, body),
         ]
 
     # Stepping.
