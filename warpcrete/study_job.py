@@ -54,7 +54,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Run, or go on with, a study, and print its table."""
     from .progress import ProgressBar
     from .run_folder import next_folder, read_json
-    from .study import FIGURES, resume_study, run_study
+    from .study import resume_study, run_study
 
     scene, options = parsed(arguments)
     settings: dict[str, Any] = {}
@@ -112,7 +112,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     finally:
         progress.close()
     click.echo()
-    if any(name in result for result in study.results.values() for name in FIGURES):
+    if any(name in result for result in study.results.values() for name in study.figures):
         click.echo(study.table())
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")

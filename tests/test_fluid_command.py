@@ -1,0 +1,131 @@
+"""Flows by the command: run folders, repeats, studies, refusals; and what their recorders write."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from warpcrete.cli import cli
+
+COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
+
+
+def warpcrete(*arguments, **settings):
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=300, **settings)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A finished run of a channel with two phases."""
+    out = tmp_path_factory.mktemp("flow") / "run"
+    done = warpcrete("run", "channel", "--aggregates", "--spacing", 5e-3, "--duration", 0.05, "--frames", 100,
+                     "--colour", "phase", "--device", "cpu", "--out", out, "--quiet")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "theory, plane: 9.423" in done.stdout and "FAIL" not in done.stdout
+    return out
+
+
+def test_run_folder_is_complete(folder):
+    assert {p.name for p in folder.iterdir()} == {
+        "scene.json", "result.json", "series.csv", "flow.png", "run.rrd", "scene.usdc",
+    }  # fmt: skip
+    result = json.loads((folder / "result.json").read_text())
+    assert result["finished"] and result["particles"] == 1200 and result["aggregates"]["grains"] > 50
+    assert result["pressure"]["unit"] == "Pa" and abs(result["pressure_error"]) < 0.03
+    rows = list(csv.reader((folder / "series.csv").open()))
+    assert rows[0][:3] == ["time [s]", "travel [m]", "pressure [Pa]"] and "aggregate_inner [1]" in rows[0]
+    assert len(rows) == 12
+    assert (folder / "flow.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_usd_holds_the_particles_at_every_frame(folder):
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/Run/Concrete"))
+    codes = points.GetPointsAttr().GetTimeSamples()
+    assert codes == pytest.approx(np.arange(0, 51, 10), abs=1e-6)
+    first, last = (np.array(points.GetPointsAttr().Get(code)) for code in (codes[0], codes[-1]))
+    assert first.shape == (1200, 3) and np.all(first[:, 1] == 0)
+    travel = 1500e-6 / (np.pi * 0.05**2) * 0.05
+    assert (last - first)[:, 2].mean() == pytest.approx(travel, rel=0.02)
+    assert np.abs(last[:, 0]).max() < 0.05
+    colours = np.array(points.GetDisplayColorAttr().Get(codes[0]))
+    assert len(np.unique(colours, axis=0)) > 2  # mortar, and grains that differ
+    assert UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Walls/Pipe")).GetPointsAttr().Get()
+
+
+def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
+    done = warpcrete("run", folder / "scene.json", "--no-rerun", "--no-usd", "--colour", "pressure", "--out",
+                     tmp_path / "again", "--quiet")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (folder, tmp_path / "again"))
+    assert one == two
+
+
+def test_an_interrupted_flow_goes_on(tmp_path):
+    out, whole = tmp_path / "cut", tmp_path / "whole"
+    options = ["run", "channel", "--spacing", "5e-3", "--duration", "0.3", "--checkpoint-every", "0.01", "--device",
+               "cpu", "--threads", "1", "--quiet"]  # fmt: skip
+    run = subprocess.Popen([*COMMAND, *options, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    series = out / "series.csv"
+    for _ in range(600):
+        time.sleep(0.05)
+        if series.is_file() and len(series.read_text().splitlines()) > 12:
+            break
+    run.send_signal(signal.SIGINT)
+    words = run.communicate(timeout=120)[0].decode()
+    assert run.returncode == 130 and "go on with" in words
+    assert not json.loads((out / "result.json").read_text())["finished"]
+    done = warpcrete("run", "--resume", out, "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert warpcrete(*options, "--out", whole).returncode == 0
+    assert series.read_text() == (whole / "series.csv").read_text()
+    one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (out, whole))
+    assert one == two
+
+
+def test_a_study_of_flows(tmp_path):
+    out = tmp_path / "sweep"
+    done = warpcrete("study", "channel", "--spacing", 20e-3, 10e-3, "--device", "cpu", "--out", out, "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert "slip velocity [cm/s]" in done.stdout and "2 of 2 cases done" in done.stdout
+    rows = list(csv.DictReader((out / "study.csv").open()))
+    assert [float(row["spacing"]) for row in rows] == [20e-3, 10e-3]
+    assert abs(float(rows[1]["slip_velocity_error [1]"])) < abs(float(rows[0]["slip_velocity_error [1]"]))
+    assert (out / "study.png").is_file() and len(list(out.glob("00*/flow.png"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--pressure", "7000"], "nothing flows below"),
+        (["--spacing", "0.3"], "particles across the pipe"),
+        (["--colour", "size"], "colour = 'size'"),
+        (["--network"], "network"),
+        (["--mix", "own"], "needs density, slip_viscosity, slip_yield, viscosity, yield_stress"),
+        (["--viscosity", "0"], "viscosity = 0.0"),
+    ],
+)
+@pytest.mark.parametrize("scene", ["channel", "tube"])
+def test_bad_input_leaves_nothing(tmp_path, scene, options, words):
+    out = tmp_path / "run"
+    result = CliRunner().invoke(cli, ["run", scene, "--device", "cpu", "--out", str(out), *options])
+    assert result.exit_code != 0 and words in str(result.exception)
+    assert not out.exists()
+
+
+def test_a_solve_that_fails_ends_the_run_with_its_history(tmp_path):
+    done = warpcrete("run", "channel", "--spacing", 5e-3, "--most-iterations", 3, "--device", "cpu", "--out",
+                     tmp_path / "run", "--quiet")  # fmt: skip
+    assert done.returncode == 1
+    assert "the viscosity solve did not converge in 3 iterations" in done.stderr and "on the way" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list((tmp_path / "run").glob("*partial*"))
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["finished"] is False
