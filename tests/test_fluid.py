@@ -118,6 +118,112 @@ def test_apparent_viscosity_follows_the_regularised_law(device):
         assert flow.viscosity.numpy() == pytest.approx(expected, rel=1e-7)
 
 
+def stage_named(flow, name):
+    """The stage of a step with this kernel."""
+    (found,) = [s for s in flow.stages[0] if hasattr(s, "kernel") and s.kernel.func.__name__ == name]
+    return found
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_velocity_from_the_wall_follows_the_falling_stress(device, dimensions):
+    """Newtonian: s (1 - s / 2R) / mu a pascal at the wall, as the parabola has it; regularised: with the tangent."""
+    flow = flow_of(device, dimensions=dimensions, yield_stress=0.0)
+    stage_named(flow, "geometry")()
+    x = flow.state.position.numpy()
+    s = 0.05 - np.linalg.norm(x[:, :-1], axis=1)
+    assert flow.compliance.numpy() == pytest.approx(s * (1 - s / 0.1) / 397, rel=1e-6)
+    flow = flow_of(device, dimensions=dimensions)
+    x = flow.state.position.numpy().copy()
+    velocity = np.zeros_like(x)
+    velocity[:, -1] = 0.03 * x[:, 0]
+    flow.state.velocity.assign(velocity)
+    stage_named(flow, "geometry")()
+    s = 0.05 - np.linalg.norm(x[:, :-1], axis=1)
+    apparent, tangent = 397 + 190 * -np.expm1(-3) / 0.03, 397 + 190 * 100 * np.exp(-3)
+    expected = s * ((1 - s / 0.05) / apparent + s / 0.1 / tangent)
+    assert flow.compliance.numpy() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_projection_takes_the_slope_of_the_increment(device, dimensions):
+    flow = step(flow_of(device, dimensions=dimensions))
+    stage_named(flow, "geometry")()
+    x, before = flow.state.position.numpy(), flow.state.velocity.numpy().copy()
+    slope = np.array([3e3, -7e3, 2e3][:dimensions])
+    flow.increment.assign(x @ slope)
+    stage_named(flow, "project")()
+    change = flow.state.velocity.numpy() - before
+    expected = -5e-4 / 2354 * slope
+    assert change == pytest.approx(np.tile(expected, (len(x), 1)), abs=1e-6 * np.abs(expected).max())
+    assert flow.state.pressure.numpy() == pytest.approx(flow.predicted.numpy() + x @ slope, rel=1e-12)
+
+
+def test_filter_takes_a_checkerboard_away(device):
+    """Values that change sign from one particle to the next are invisible to gradients and would grow."""
+    scene = scenes.channel(spacing=5e-3)
+    flow = MovingParticles(FluidState(scene, find_device(device), "float64"), threads=1)
+    x = flow.state.position.numpy()
+    sign = np.where(np.round(x / 5e-3 - 0.5).sum(axis=1) % 2 == 0, 1.0, -1.0)
+    linear = 4e3 - 2e4 * x[:, 1]
+    flow.state.pressure.assign(linear + 100 * sign)
+    stage_named(flow, "geometry")()
+    inside = (np.abs(x[:, 0]) < 0.04) & (x[:, 1] > 0.02) & (x[:, 1] < 0.28)
+    left = (flow.predicted.numpy() - linear)[inside]
+    assert np.abs(left).max() < 30
+    flow.state.pressure.assign(linear)
+    stage_named(flow, "geometry")()
+    assert flow.predicted.numpy()[inside] == pytest.approx(linear[inside], rel=1e-12)
+
+
+def test_small_steps_are_not_lost_in_single_precision(device):
+    """Relative to the piston a step may be less than the last digit of the place; a thousand must still add up."""
+    flow = flow_of(device, precision="float32")
+    start = flow.state.position.numpy().astype(float)
+    speed = flow.scene.velocity
+    velocity = np.zeros((flow.state.count, 2))
+    velocity[:, 1] = speed - 2e-5  # 1e-8 m a step, at heights of up to 0.3 m
+    flow.state.velocity.assign(velocity)
+    relative = flow.state.velocity.numpy()[0, 1].astype(float) - float(np.float32(speed))
+    advance = stage_named(flow, "advance")
+    for _ in range(1000):
+        advance()
+    moved = flow.state.position.numpy().astype(float) - start
+    chosen = start[:, 1] > 0.25
+    assert moved[chosen, 1].mean() == pytest.approx(1000 * 5e-4 * relative, rel=5e-3)
+    assert moved[chosen, 1].std() < 3e-8
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_a_grain_turns_with_what_it_is_carried_by(device, dimensions):
+    """A whole field that turns leaves grains turning at its rate, in its sense, about their middles."""
+    scene = SCENES[dimensions](spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, aggregate_share=0.1)
+    if dimensions == 3:
+        big = dataclasses.replace(scene.aggregates, sizes=((25e-3, 30e-3, 1.0),))
+        scene = dataclasses.replace(scene, aggregates=big)
+    flow = MovingParticles(FluidState(scene, find_device(device), "float64"), threads=1)
+    x = flow.state.position.numpy().copy()
+    spin = np.array([0.0, 3.0, 0.0]) if dimensions == 2 else np.array([1.0, 3.0, -2.0])
+
+    def field(places):
+        if dimensions == 3:
+            return np.cross(spin, places)
+        return np.cross(spin, np.insert(places, 1, 0.0, axis=1))[:, [0, 2]]
+
+    velocity = field(x)
+    velocity[:, -1] += scene.velocity
+    flow.state.velocity.assign(velocity)
+    stage_named(flow, "velocities")()
+    assert flow.state.velocity.numpy() == pytest.approx(velocity, abs=1e-12)
+    assert flow.grain_arrays["spin"].numpy() == pytest.approx(np.tile(spin, (flow.state.grains.count, 1)), abs=1e-9)
+    stage_named(flow, "advance")()
+    stage_named(flow, "places")()
+    after = flow.state.position.numpy()
+    for a, b in itertools.pairwise(flow.state.grains.first):
+        old, new = x[a:b] - x[a:b].mean(0), after[a:b] - after[a:b].mean(0)
+        # The turn of one step, 1.5e-3, to its second order.
+        assert new - old == pytest.approx(5e-4 * field(old), abs=3e-6 * np.abs(old).max())
+
+
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_laplacian_is_exact_for_quadratics_on_the_lattice(device, dimensions):
     """Pressure coefficients on rows of the channel (on rings of the tube: to the evenness of their neighbours)."""
@@ -207,7 +313,7 @@ def test_newtonian_fluid_that_sticks_is_poiseuille(device):
     radius, velocity = (np.array(run.result["profiles"][1][k]["value"]) for k in ("radius", "velocity"))
     speed = velocity.mean()
     assert speed == pytest.approx(run.scene.velocity, rel=0.03)
-    assert run.series["pressure_gradient"][-1] == pytest.approx(3 * 200 * speed / 0.05**2, rel=0.01)
+    assert run.series["pressure_gradient"][-1] == pytest.approx(3 * 200 * speed / 0.05**2, rel=4e-3)
     assert velocity == pytest.approx(1.5 * speed * (1 - (radius / 0.05) ** 2), abs=5e-3 * speed)
 
 
