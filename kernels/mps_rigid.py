@@ -46,9 +46,17 @@ def rigid_kernels(scalar, dimensions: int):
         if wp.static(flat):
             # About y: z turns towards x.
             s, c = wp.sin(angle[1]), wp.cos(angle[1])
-            return t.mat(c, s, -s, c) * m
+            after = t.mat(c, s, -s, c) * m
+            long = wp.sqrt(after[0, 0] * after[0, 0] + after[1, 0] * after[1, 0])
+            c, s = after[0, 0] / long, after[0, 1] / long
+            return t.mat(c, s, -s, c)
         else:
-            return wp.quat_to_matrix(wp.quat_from_axis_angle(angle / size, size)) * m
+            after = wp.quat_to_matrix(wp.quat_from_axis_angle(angle / size, size)) * m
+            # Rows at right angles and of length one, whatever rounding did.
+            x = wp.normalize(vec3(after[0, 0], after[0, 1], after[0, 2]))
+            y = vec3(after[1, 0], after[1, 1], after[1, 2])
+            y = wp.normalize(y - wp.dot(x, y) * x)
+            return wp.matrix_from_rows(x, y, wp.cross(x, y))
 
     @wp.kernel(enable_backward=False, module="unique")
     def velocities(
@@ -58,8 +66,8 @@ def rigid_kernels(scalar, dimensions: int):
         position: wp.array(dtype=t.vec),
         velocity: wp.array(dtype=t.vec),
         moved: wp.array(dtype=t.vec),
-        middle: wp.array(dtype=t.vec),
         spin: wp.array(dtype=vec3),
+        step: wp.array(dtype=t.vec),
     ):
         if flags[HALTED] != 0:
             return
@@ -87,13 +95,17 @@ def rigid_kernels(scalar, dimensions: int):
                 turn = vec3(scalar(0.0), momentum[1] / inertia[1, 1], scalar(0.0))
         else:
             size = wp.trace(inertia) / scalar(3.0)
-            if wp.determinant(inertia) > scalar(1.0e-6) * size * size * size:
+            if size > scalar(0.0):
+                # Particles in a row have no inertia about it, and no momentum: a little makes that spin nothing.
+                if wp.determinant(inertia) < scalar(1.0e-3) * size * size * size:
+                    inertia += scalar(1.0e-4) * size * wp.identity(n=3, dtype=scalar)
                 turn = wp.inverse(inertia) * momentum
         for i in range(first[g], first[g + 1]):
             velocity[i] = mean + lowered(wp.cross(turn, raised(position[i] - centre)))
             moved[i] = aside
-        middle[g] = centre
         spin[g] = turn
+        mean[last] = mean[last] - flow.piston_speed
+        step[g] = flow.dt * mean + aside
 
     @wp.kernel(enable_backward=False, module="unique")
     def places(
@@ -101,21 +113,20 @@ def rigid_kernels(scalar, dimensions: int):
         flags: wp.array(dtype=wp.int32),
         first: wp.array(dtype=wp.int32),
         offset: wp.array(dtype=t.vec),
-        middle: wp.array(dtype=t.vec),
+        step: wp.array(dtype=t.vec),
         spin: wp.array(dtype=vec3),
+        middle: wp.array(dtype=t.vec),
+        middle_rounding: wp.array(dtype=t.vec),
         turn: wp.array(dtype=t.mat),
         position: wp.array(dtype=t.vec),
-        rounding: wp.array(dtype=t.vec),
     ):
         if flags[HALTED] != 0:
             return
         g = wp.tid()
         turn[g] = turned(turn[g], flow.dt * spin[g])
-        # The middle goes where its particles went on average; what a wall stopped stops the grain.
-        step = t.vec()
-        for i in range(first[g], first[g + 1]):
-            step += position[i] - rounding[i] - middle[g]
-        centre = middle[g] + step / scalar(first[g + 1] - first[g])
+        way = step[g] - middle_rounding[g]
+        centre = middle[g] + way
+        middle_rounding[g] = (centre - middle[g]) - way
         # A grain that would reach into a wall goes back as far as its deepest particle does.
         closest = scalar(0.25) * flow.spacing
         deepest = scalar(0.0)
@@ -131,9 +142,7 @@ def rigid_kernels(scalar, dimensions: int):
         centre = centre - deepest * back
         centre[last] = centre[last] + lowest
         for i in range(first[g], first[g + 1]):
-            target = centre + turn[g] * offset[i]
-            position[i] = target
-            rounding[i] = target - centre - turn[g] * offset[i]
+            position[i] = centre + turn[g] * offset[i]
         middle[g] = centre
 
     return velocities, places

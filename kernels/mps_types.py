@@ -58,8 +58,6 @@ def fluid_struct(scalar):
         slip_viscosity: scalar  # eta_L [Pa s/m]
         slip_yield: scalar  # tau_L0 [Pa]
         aggregate_viscosity: scalar  # of coarse aggregate [Pa s]
-        wet_area: scalar  # of the pipe's wall [m2], or [m] in two dimensions
-        volume: scalar  # of a particle
         correction: scalar  # share of the density's error that a step takes away
         skin: scalar  # of the lists [m]
 

@@ -50,12 +50,15 @@ def resolutions(args) -> None:
             row = figures(flow)
             velocity, pressure = np.mean(iterations, axis=0)
             theory = flow.theory
-            off = [100 * (row[k] / getattr(theory, k) - 1) for k in ("pressure", "slip_velocity")]
+            off = [
+                100 * (row["pressure"] / theory.pressure - 1),
+                100 * (row["slip_velocity"] - theory.slip_velocity) / flow.scene.velocity,
+            ]
             cells = [
                 f"{1e3 * flow.state.layout.spacing:.3g}", str(flow.state.count), str(flow.threads),
                 f"{1e3 * min(times):.2f}", f"{1e3 * np.median(times):.2f}", f"{velocity:.0f}", f"{pressure:.0f}",
                 f"{1e-6 * flow.state.count / min(times):.2f}", f"{off[0]:+.2f} %", f"{off[1]:+.2f} %",
-                f"{100 * row['profile_error'] / flow.scene.velocity:.2f} %",
+                f"{100 * row['profile_deviation'] / flow.scene.velocity:.2f} %",
             ]  # fmt: skip
             print("| " + " | ".join(cells) + " |", flush=True)
     print(f"\n{flow.device.name}; scene {args.scene}, {args.precision}; {args.steps} steps, {args.repeats} repeats; "

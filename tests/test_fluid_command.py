@@ -102,6 +102,15 @@ def test_a_study_of_flows(tmp_path):
     assert (out / "study.png").is_file() and len(list(out.glob("00*/flow.png"))) == 2
 
 
+def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
+    out = tmp_path / "sweep"
+    done = warpcrete("study", "channel", "--spacing", 20e-3, "--most-iterations", 3, 2000, "--device", "cpu", "--out",
+                     out, "--quiet")  # fmt: skip
+    assert done.returncode == 1 and "2 of 2 cases done" in done.stdout
+    assert "failed: 001-most_iterations=3" in done.stdout and "did not converge in 3 iterations" in done.stdout
+    assert json.loads((out / "002-most_iterations=2000" / "result.json").read_text())["finished"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -109,6 +118,7 @@ def test_a_study_of_flows(tmp_path):
         (["--spacing", "0.3"], "particles across the pipe"),
         (["--colour", "size"], "colour = 'size'"),
         (["--network"], "network"),
+        (["--pipeline-vertical", "10"], "pipeline = 10"),
         (["--mix", "own"], "needs density, slip_viscosity, slip_yield, viscosity, yield_stress"),
         (["--viscosity", "0"], "viscosity = 0.0"),
     ],

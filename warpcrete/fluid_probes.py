@@ -47,7 +47,8 @@ def section(flow: MovingParticles) -> float:
 
 
 def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
-    """A row of the series; `before` is the row before, for what changes in between.
+    """A row of the series; `before` is the row before, for what changes in between. Of a channel, momentum is that of a
+    metre's depth.
 
     The pressure on the piston is that of the particles near it, continued in a straight line, and half a spacing of
     its gradient more: the particles of the surface have none, though half of each lies above its centre.
@@ -67,10 +68,7 @@ def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> di
     wet = middle & (weight > 0)
     theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))
 
-    lower, upper = WINDOW
-    window = 0.5 * (1 + np.cos(np.pi * np.clip((share - lower) / (upper - lower), 0, 1)))
     area = section(flow)
-    inside = area * layout.height * 0.5 * (lower + upper)
     mass = layout.volume * (scene.concrete.density if state.grains is None else state.density.numpy().astype(float))
     momentum = float(np.sum(mass * snap.velocity))
     change = 0.0
@@ -88,8 +86,8 @@ def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> di
         "pressure_gradient": float(gradient),
         "wall_stress": drag / flow.wet_area,
         "slip_velocity": float(np.sum(weight[wet] * slip[wet]) / np.sum(weight[wet])) if wet.any() else math.nan,
-        "profile_error": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
-        "volume_error": float(inside / (np.sum(window) * layout.volume) - 1),
+        "profile_deviation": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
+        "volume_error": _window(layout.fluid[:, -1] / layout.height) / _window(share) - 1,
         "force_balance_error": float(residual / force) if force else math.nan,
         "front": float(np.mean(surface)) + 0.5 * layout.spacing if len(surface) else math.nan,
         "momentum": momentum,
@@ -97,6 +95,12 @@ def figures(flow: MovingParticles, before: dict[str, float] | None = None) -> di
         "pressure_iterations": outcomes["pressure"]["iterations"],
     }  # fmt: skip
     return row | aggregate_shares(flow, snap)
+
+
+def _window(share: np.ndarray) -> float:
+    """Particles in a window that falls smoothly with height: as many as at the start, if none lost or won volume."""
+    lower, upper = WINDOW
+    return float(np.sum(0.5 * (1 + np.cos(np.pi * np.clip((share - lower) / (upper - lower), 0, 1)))))
 
 
 def aggregate_shares(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:

@@ -36,9 +36,9 @@ class Grains:
 def scatter(scene: FluidScene, layout: Layout) -> Grains:
     """Place grains of random size and shape at random, largest first, until they fill their share of the column.
 
-    A grain takes the particles inside its outline: a circle or ball of its size, with a random waviness. Grains keep
-    a particle of mortar between them and half a particle to walls, piston and surface. Raises :class:`SceneError`
-    where they find no room.
+    A grain takes the particles inside its outline: a circle or ball of its size, with a random waviness, that does not
+    reach over walls, piston and surface. In two dimensions grains keep a particle of mortar between them; in three,
+    where random placing leaves less room, they may touch. Raises :class:`SceneError` where they find no room.
     """
     aggregates = scene.aggregates
     assert aggregates is not None
@@ -52,7 +52,7 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
     if total <= 0:
         refuse("sizes", aggregates.sizes, "must have a class with a share above 0")
     taken = 0
-    blocked = np.zeros(n, bool)
+    rim_width = 1.05 * spacing if dimensions == 2 else 0.0
     for number, (smallest, largest, _) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
         goal = wanted * sum(c[2] for c in sorted(aggregates.sizes, key=lambda c: -c[1])[: number + 1]) / total
         misses = 0
@@ -60,27 +60,26 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            offset = places - centre
-            near = np.flatnonzero(np.einsum("na,na->n", offset, offset) < (0.75 * size + 2 * spacing) ** 2)
-            distance = np.linalg.norm(offset[near], axis=1)
-            reach = 0.5 * size * wave(offset[near] / np.maximum(distance, 1e-12)[:, None])
+            # Places stand layer by layer from the piston on.
+            most = 0.5 * size * (2 - aggregates.roundness) + rim_width
+            near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - most, centre[-1] + most]))
+            offset = places[near] - centre
+            distance = np.linalg.norm(offset, axis=1)
+            reach = 0.5 * size * wave(offset / np.maximum(distance, 1e-12)[:, None])
             inside = near[distance < reach]
-            rim = near[distance < reach + 1.05 * spacing]
+            rim = near[distance < reach + rim_width]
             touches_wall = np.linalg.norm(centre[:-1]) + 0.5 * size > scene.radius
             touches_end = not 0.5 * size < centre[-1] < layout.height - 0.5 * size
-            if len(inside) < 2 or touches_wall or touches_end or blocked[inside].any() or (owner[rim] >= 0).any():
+            if len(inside) < 2 or touches_wall or touches_end or (owner[rim] >= 0).any():
                 misses += 1
                 continue
             owner[inside] = len(members)
-            blocked[inside] = True
             members.append(inside)
             taken += len(inside)
             misses = 0
         if taken < goal - max(0.02 * wanted, 0.6 * (largest / spacing) ** dimensions):
-            refuse(
-                "aggregate share", aggregates.share, f"does not fit: {taken / n:.3g} of the volume was placed",
-                "lower it, or take a finer spacing"
-            )  # fmt: skip
+            found = f"does not fit at a spacing of {spacing:g} m: {taken / n:.3g} of the volume was placed"
+            refuse("aggregate share", aggregates.share, found, "lower it, or take a finer spacing")
     if not members:
         refuse("aggregate share", aggregates.share, "is less than one grain", "take a finer spacing")
     mortar = np.flatnonzero(owner < 0)

@@ -88,11 +88,6 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
         parameters = parameters | {"precision": precision}
     scene = module.scene(**parameters)
     piped = pipeline_vertical is not None or pipeline_horizontal is not None
-    if piped:
-        straight = ("vertical", "horizontal")
-        one_of("unit", scene.notes.get("unit"), straight)
-        if other is not None:
-            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
     source = str(pipeline_other.resolve()) if pipeline_other else None
     settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
                                checkpoint_every, threads or default_threads())))  # fmt: skip
@@ -101,6 +96,13 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
     one_of("colour", colour, rerun_type.COLOURINGS)
     if fluid and network:
         refuse("network", network, "draws the contacts of discrete elements; a flow has none")
+    if fluid and piped:
+        refuse("pipeline", pipeline_vertical or pipeline_horizontal, "is Eq. 13 of discrete elements' straight units")
+    if piped:
+        straight = ("vertical", "horizontal")
+        one_of("unit", scene.notes.get("unit"), straight)
+        if other is not None:
+            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
     recorders: list[Any] = [TableRecorder(folder, settings)]
     if rerun or live:
         target = True if live == "spawn" else (live or False)

@@ -14,6 +14,8 @@ done instead and why.
 from __future__ import annotations
 
 import math
+import weakref
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
@@ -61,6 +63,8 @@ VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a chan
 LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next; an even number
 HISTORY = 256  # iterations whose residual is kept
 GRAPH_STEPS = {"cpu": 8, "cuda": 16}
+GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
+"""Of grains, what the next step depends on."""
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 
 
@@ -88,6 +92,8 @@ class MovingParticles:
         n = state.count
         self.threads = 1 if self.is_cuda else max(1, min(threads or default_threads(), n // 256))
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        if self._pool is not None:
+            weakref.finalize(self, self._pool.shutdown, wait=False)
         t = mps_types(self.scalar, scene.dimensions)
         device = self.device
 
@@ -115,13 +121,11 @@ class MovingParticles:
         self.spreading.residual = self.crowding
         self.points = wp.zeros(n + state.wall_count, dtype=wp.vec3f, device=device)
         self.flow = self._numbers()
-        self._reserve(1.0)
+        self._room = 1.0
+        self._reserve()
         flat = scene.dimensions == 2
         self.grid = wp.HashGrid(64, 1 if flat else 64, 128, device=device)
-        self._grid_points: Any = None
         self.grain_arrays = _grain_arrays(state, t, self.scalar)
-        self._graphs: dict[int, list[Any]] = {}
-        self._stages: list[list[Stage]] | None = None
         self.theory = scene.theory()
         self.time = 0.0
         self.steps = 0
@@ -131,7 +135,7 @@ class MovingParticles:
     def _numbers(self):
         scene, state = self.scene, self.state
         flow = fluid_struct(self.scalar)()
-        layout, d = state.layout, scene.dimensions
+        layout = state.layout
         l0 = layout.spacing
         fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
         values = dict(
@@ -139,8 +143,8 @@ class MovingParticles:
             spacing=l0,
             cutoff=CUTOFF * l0,
             wide=WIDE * l0,
-            lattice_number=_lattice_number(d, CUTOFF),
-            lattice_density=_density_at_start(layout),
+            lattice_number=_sum_at_start(layout, CUTOFF, _weight),
+            lattice_density=_sum_at_start(layout, WIDE, _density_weight) + 1.0,
             radius=scene.radius,
             piston_speed=scene.velocity,
             gravity=scene.gravity,
@@ -152,8 +156,6 @@ class MovingParticles:
             slip_viscosity=scene.concrete.slip_viscosity,
             slip_yield=scene.concrete.slip_yield,
             aggregate_viscosity=scene.aggregates.viscosity if scene.aggregates is not None else 0.0,
-            wet_area=self.wet_area,
-            volume=layout.volume,
             correction=CORRECTION,
             skin=SKIN * l0,
         )
@@ -175,12 +177,12 @@ class MovingParticles:
         near = LAPLACIAN if self.scene.literal else CUTOFF
         return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
 
-    def _reserve(self, factor: float) -> None:
+    def _reserve(self) -> None:
         """Rows of lists for what the lattice has, and as much again in crowds."""
         d = self.scene.dimensions
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
-        near, far, wall = (int(factor * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole))
+        near, far, wall = (int(self._room * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole))
         n, device = self.state.count, self.device
         self.capacity = near, far, wall
         self.near_count, self.far_count, self.near_wall = (wp.zeros(n, dtype=wp.int32, device=device) for _ in range(3))
@@ -201,7 +203,6 @@ class MovingParticles:
             device=self.device,
         )
         self.grid.build(self.points, self._list_reach[1])
-        factor = 1.0
         while True:
             near, far, wall = self.capacity
             wp.launch(
@@ -220,8 +221,8 @@ class MovingParticles:
             state.flags.assign(flags)
             if over == 0:
                 break
-            factor *= max(1.25, 1.1 * over / 1000)
-            self._reserve(factor)
+            self._room *= max(1.25, 1.1 * over / 1000)
+            self._reserve()
         self.late.zero_()
         self.rebuilds += 1
 
@@ -304,7 +305,7 @@ class MovingParticles:
         )  # fmt: skip
         stages += self._solve(
             self.projection, False, PRESSURE, self.increment, part, first, end, scene.tolerance,
-            1e-6 * rate * scene.velocity / scene.radius * size,
+            1e-4 * scene.tolerance * rate * scene.velocity / scene.radius * size,
         )  # fmt: skip
         stages += stage(
             project,
@@ -324,7 +325,7 @@ class MovingParticles:
         velocities, places = rigid_kernels(scalar, d)
         g = self.grain_arrays
         if two_phase and part == 0:
-            arguments = [self.flow, s.flags, g["first"], s.position, s.velocity, self.moved, g["middle"], g["spin"]]
+            arguments = [self.flow, s.flags, g["first"], s.position, s.velocity, self.moved, g["spin"], g["step"]]
             stages.append(Stage(velocities, g["count"], arguments, self.device))
         if two_phase:
             stages += meet
@@ -335,7 +336,8 @@ class MovingParticles:
         )  # fmt: skip
         if two_phase and part == 0:
             arguments = [
-                self.flow, s.flags, g["first"], g["offset"], g["middle"], g["spin"], g["turn"], s.position, s.rounding,
+                self.flow, s.flags, g["first"], g["offset"], g["step"], g["spin"], g["middle"], g["middle_rounding"],
+                g["turn"], s.position,
             ]  # fmt: skip
             stages.append(Stage(places, g["count"], arguments, self.device))
         if two_phase:
@@ -420,9 +422,7 @@ class MovingParticles:
         arrays = {name: getattr(self.state, name).numpy() for name in FluidState.PARTICLE_ARRAYS}
         # The lists are those of the places for which they were built: sums keep their order.
         arrays |= {"built": self.built.numpy(), "flags": self.state.flags.numpy(), "late": self.late.numpy()}
-        arrays |= {
-            f"grain_{name}": self.grain_arrays[name].numpy() for name in ("turn", "middle", "spin") if self.grain_arrays
-        }
+        arrays |= {f"grain_{name}": self.grain_arrays[name].numpy() for name in GRAIN_ARRAYS if self.grain_arrays}
         return arrays, {"steps": self.steps, "rebuilds": self.rebuilds}
 
     def restore(self, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
@@ -434,7 +434,7 @@ class MovingParticles:
             getattr(state, name).assign(arrays[name])
         state.flags.assign(arrays["flags"])
         self.late.assign(arrays["late"])
-        for name in ("turn", "middle", "spin") if self.grain_arrays else ():
+        for name in GRAIN_ARRAYS if self.grain_arrays else ():
             self.grain_arrays[name].assign(arrays[f"grain_{name}"])
         self.steps, self.rebuilds = int(numbers["steps"]), int(numbers["rebuilds"])
         self.time = self.steps * self.scene.time_step
@@ -508,19 +508,25 @@ def _lattice_number(dimensions: int, reach: float) -> float:
     return float(np.sum(reach / r - 1))
 
 
-def _density_at_start(layout: Layout) -> float:
-    """Mean sum of density weights in a layer amid the column, where it holds exactly its volume."""
-    reach = WIDE * layout.spacing
+def _weight(q: np.ndarray) -> np.ndarray:
+    return 1 / q - 1
+
+
+def _density_weight(q: np.ndarray) -> np.ndarray:
+    return (1 - q) ** 4 * (4 * q + 1)
+
+
+def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Mean over a layer amid the column of the weights of all others within `reach` spacings."""
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
     layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]
     layer = layer[:: -(-len(layer) // 1000)]
-    near = everything[np.abs(everything[:, -1] - middle) < reach]
-    q = np.concatenate(
-        [np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in np.array_split(layer, -(-len(layer) // 50))]
-    )
-    q = q[q < reach] / reach
-    return float(np.sum((1 - q) ** 4 * (4 * q + 1))) / len(layer)
+    near = everything[np.abs(everything[:, -1] - middle) < reach * layout.spacing]
+    parts = np.array_split(layer, -(-len(layer) // 50))
+    q = np.concatenate([np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in parts])
+    q = q[(q > 0) & (q < reach * layout.spacing)] / (reach * layout.spacing)
+    return float(np.sum(weight(q))) / len(layer)
 
 
 def _grain_arrays(state: FluidState, t, scalar) -> dict[str, Any]:
@@ -536,6 +542,8 @@ def _grain_arrays(state: FluidState, t, scalar) -> dict[str, Any]:
         "first": wp.array(grains.first, dtype=wp.int32, device=device),
         "offset": wp.array(offset, dtype=t.vec, device=device),
         "middle": wp.array(middle, dtype=t.vec, device=device),
+        "middle_rounding": wp.zeros(grains.count, dtype=t.vec, device=device),
+        "step": wp.zeros(grains.count, dtype=t.vec, device=device),
         "spin": wp.zeros(grains.count, dtype=wp.vec3d if scalar is wp.float64 else wp.vec3f, device=device),
         "turn": wp.array(np.tile(np.eye(d), (grains.count, 1, 1)), dtype=t.mat, device=device),
     }

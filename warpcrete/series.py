@@ -43,7 +43,7 @@ UNITS = {
     "pressure_gradient": "Pa/m",
     "wall_stress": "Pa",
     "slip_velocity": "m/s",
-    "profile_error": "m/s",
+    "profile_deviation": "m/s",
     "volume_error": "1",
     "force_balance_error": "1",
     "front": "m",

@@ -326,6 +326,7 @@ def run_all(pairs: Sequence[tuple[Any, Path | None]], progress: Callable[[str, f
             elif simulation.stop_requested:
                 raise KeyboardInterrupt
             outcomes.append(simulation.run())
+            simulation.release()
         except (Exception, KeyboardInterrupt) as error:
             outcomes.append(error)
     return outcomes
