@@ -9,7 +9,7 @@ from test_theory import FLOW
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.errors import ConvergenceError, RunFolderError, SceneError
+from warpcrete.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
 from warpcrete.fluid import check_flow, mortar_of
 from warpcrete.fluid_simulation import FluidSimulation
 from warpcrete.fluid_state import FluidState, layout
@@ -225,7 +225,7 @@ def test_grains_of_two_particles_turn_about_all_but_their_own_axis(device):
     spin = np.array([1.0, 3.0, -2.0])
     flow.state.velocity.assign(np.cross(spin, x))
     stage_named(flow, "velocities")()
-    first, found = flow.state.grains.first, flow.grain_arrays["spin"].numpy()
+    first, found = flow.state.grains.first, flow.state.grain_arrays["spin"].numpy()
     pairs = np.flatnonzero(np.diff(first) == 2)
     assert len(pairs) > 3
     for g in pairs:
@@ -255,7 +255,9 @@ def test_a_grain_turns_with_what_it_is_carried_by(device, dimensions):
     flow.state.velocity.assign(velocity)
     stage_named(flow, "velocities")()
     assert flow.state.velocity.numpy() == pytest.approx(velocity, abs=1e-12)
-    assert flow.grain_arrays["spin"].numpy() == pytest.approx(np.tile(spin, (flow.state.grains.count, 1)), abs=1e-9)
+    assert flow.state.grain_arrays["spin"].numpy() == pytest.approx(
+        np.tile(spin, (flow.state.grains.count, 1)), abs=1e-9
+    )
     stage_named(flow, "advance")()
     stage_named(flow, "places")()
     after = flow.state.position.numpy()
@@ -613,6 +615,14 @@ def test_errors_of_solves_travel_between_processes():
     error = ConvergenceError(0.1, "pressure", 3, [3.0, 2.0, 1.0], 1.0, 3)
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and again.history == error.history
+
+
+def test_what_does_not_fit_is_refused_before_it_is_allotted(monkeypatch):
+    from warpcrete import mps
+
+    monkeypatch.setattr(mps, "memory_free", lambda device: 1e5)
+    with pytest.raises(CapacityError, match=r"particles = 1200: need about .* GiB"):
+        FluidSimulation(scenes.channel(), device="cpu").run()
 
 
 def test_a_solve_that_does_not_converge_says_how_it_went(device, tmp_path):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from .fluid import FluidScene
 from .grains import Grains, scatter
-from .kernels.mps_types import FLAGS, mps_types
+from .kernels.mps_types import FLAGS, fluid_struct, mps_types
 from .model import SCALARS
 
 LAYERS = 4
@@ -113,6 +115,7 @@ class FluidState:
         self.group = wp.array(group, dtype=wp.int32, device=device)
         self.density = wp.array(density, dtype=scalar, device=device)
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
+        self.grain_arrays = self._grain_arrays(t)
 
     @property
     def mass(self) -> float:
@@ -120,3 +123,86 @@ class FluidState:
         if self.grains is None:
             return self.scene.concrete.density * self.layout.volume * self.count
         return float(self.density.numpy().sum(dtype=float)) * self.layout.volume
+
+    def _grain_arrays(self, t) -> dict[str, Any]:
+        grains = self.grains
+        if grains is None:
+            return {}
+        device, d = self.device, self.scene.dimensions
+        place = self.position.numpy().astype(float)
+        middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
+        offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
+        return {
+            "count": grains.count,
+            "first": wp.array(grains.first, dtype=wp.int32, device=device),
+            "offset": wp.array(offset, dtype=t.vec, device=device),
+            "middle": wp.array(middle, dtype=t.vec, device=device),
+            "middle_rounding": wp.zeros(grains.count, dtype=t.vec, device=device),
+            "step": wp.zeros(grains.count, dtype=t.vec, device=device),
+            "spin": wp.zeros(grains.count, dtype=wp.vec3d if self.scalar is wp.float64 else wp.vec3f, device=device),
+            "turn": wp.array(np.tile(np.eye(d), (grains.count, 1, 1)), dtype=t.mat, device=device),
+        }
+
+
+def flow_numbers(state: FluidState, *, skin: float, correction: float):
+    """Struct of a flow's numbers for the kernels; `skin` of the lists over the spacing, `correction` the share of the
+    density's error that a step takes away.
+    """
+    scene = state.scene
+    flow = fluid_struct(state.scalar)()
+    layout = state.layout
+    l0 = layout.spacing
+    fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
+    values = dict(
+        count=state.count,
+        spacing=l0,
+        cutoff=CUTOFF * l0,
+        wide=WIDE * l0,
+        lattice_number=_sum_at_start(layout, CUTOFF, _weight),
+        lattice_density=_sum_at_start(layout, WIDE, _density_weight) + 1.0,
+        radius=scene.radius,
+        piston_speed=scene.velocity,
+        gravity=scene.gravity,
+        dt=scene.time_step,
+        density=scene.concrete.density,
+        viscosity=fluid.viscosity,
+        yield_stress=fluid.yield_stress,
+        regularisation=scene.regularisation,
+        slip_viscosity=scene.concrete.slip_viscosity,
+        slip_yield=scene.concrete.slip_yield,
+        aggregate_viscosity=scene.aggregates.viscosity if scene.aggregates is not None else 0.0,
+        correction=correction,
+        skin=skin * l0,
+    )
+    for name, value in values.items():
+        setattr(flow, name, value)
+    return flow
+
+
+def lattice_number(dimensions: int, reach: float) -> float:
+    """Sum of weights of a particle inside a square or cubic lattice; `reach` over its spacing."""
+    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
+    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
+    r = r[(r > 0) & (r < reach)]
+    return float(np.sum(reach / r - 1))
+
+
+def _weight(q: np.ndarray) -> np.ndarray:
+    return 1 / q - 1
+
+
+def _density_weight(q: np.ndarray) -> np.ndarray:
+    return (1 - q) ** 4 * (4 * q + 1)
+
+
+def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Mean over a layer amid the column of the weights of all others within `reach` spacings."""
+    everything = np.concatenate([layout.fluid, layout.wall])
+    middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
+    layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]
+    layer = layer[:: -(-len(layer) // 1000)]
+    near = everything[np.abs(everything[:, -1] - middle) < reach * layout.spacing]
+    parts = np.array_split(layer, -(-len(layer) // 50))
+    q = np.concatenate([np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in parts])
+    q = q[(q > 0) & (q < reach * layout.spacing)] / (reach * layout.spacing)
+    return float(np.sum(weight(q))) / len(layer)

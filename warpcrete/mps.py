@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
@@ -23,21 +22,14 @@ import numpy as np
 import warp as wp
 
 from .batch import default_threads
-from .errors import ConvergenceError, InstabilityError
-from .fluid_state import CUTOFF, WIDE, FluidState, Layout
+from .errors import CapacityError, ConvergenceError, InstabilityError
+from .fluid_state import CUTOFF, WIDE, FluidState, flow_numbers, lattice_number
 from .interrupts import put_off
 from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME, parallel_solver, serial_solver
 from .kernels.mps_lists import list_kernels
 from .kernels.mps_literal import LAPLACIAN, literal_kernels
-from .kernels.mps_operators import (
-    advance_kernel,
-    divergence_kernel,
-    finish,
-    geometry_kernel,
-    gradient_kernel,
-    momentum_kernel,
-    shift_kernel,
-)
+from .kernels.mps_motion import advance_kernel, finish, shift_kernel
+from .kernels.mps_operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
 from .kernels.mps_rigid import rigid_kernels
 from .kernels.mps_types import (
     DENSITY,
@@ -49,12 +41,12 @@ from .kernels.mps_types import (
     STALE,
     STEPS,
     VISCOSITY,
-    fluid_struct,
     mps_types,
     span,
 )
 from .kernels.sums import BLOCK, parallel_scale, serial_scale
 from .kernels.threads import barrier
+from .memory import SHARE, memory_free
 from .stages import Stage
 
 SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
@@ -120,48 +112,16 @@ class MovingParticles:
         self.spreading = Solve(n, self.scalar, partials, device)
         self.spreading.residual = self.crowding
         self.points = wp.zeros(n + state.wall_count, dtype=wp.vec3f, device=device)
-        self.flow = self._numbers()
+        self.flow = flow_numbers(state, skin=SKIN, correction=CORRECTION)
         self._room = 1.0
         self._reserve()
         flat = scene.dimensions == 2
         self.grid = wp.HashGrid(64, 1 if flat else 64, 128, device=device)
-        self.grain_arrays = _grain_arrays(state, t, self.scalar)
         self.theory = scene.theory()
         self.time = 0.0
         self.steps = 0
         self.rebuilds = 0
         self.build()
-
-    def _numbers(self):
-        scene, state = self.scene, self.state
-        flow = fluid_struct(self.scalar)()
-        layout = state.layout
-        l0 = layout.spacing
-        fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
-        values = dict(
-            count=state.count,
-            spacing=l0,
-            cutoff=CUTOFF * l0,
-            wide=WIDE * l0,
-            lattice_number=_sum_at_start(layout, CUTOFF, _weight),
-            lattice_density=_sum_at_start(layout, WIDE, _density_weight) + 1.0,
-            radius=scene.radius,
-            piston_speed=scene.velocity,
-            gravity=scene.gravity,
-            dt=scene.time_step,
-            density=scene.concrete.density,
-            viscosity=fluid.viscosity,
-            yield_stress=fluid.yield_stress,
-            regularisation=scene.regularisation,
-            slip_viscosity=scene.concrete.slip_viscosity,
-            slip_yield=scene.concrete.slip_yield,
-            aggregate_viscosity=scene.aggregates.viscosity if scene.aggregates is not None else 0.0,
-            correction=CORRECTION,
-            skin=SKIN * l0,
-        )
-        for name, value in values.items():
-            setattr(flow, name, value)
-        return flow
 
     @property
     def wet_area(self) -> float:
@@ -185,12 +145,25 @@ class MovingParticles:
         near, far, wall = (int(self._room * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole))
         n, device = self.state.count, self.device
         self.capacity = near, far, wall
+        self._check_memory()
         self.near_count, self.far_count, self.near_wall = (wp.zeros(n, dtype=wp.int32, device=device) for _ in range(3))
         self.near, self.far, self.wall = (wp.zeros(n * c, dtype=wp.int32, device=device) for c in self.capacity)
         self.pair_weight = wp.zeros(n * near, dtype=self.scalar, device=device)
         self.pair_coefficient = wp.zeros(n * near, dtype=self.scalar, device=device)
         self._graphs: dict[int, list[Any]] = {}
         self._stages = None
+
+    def _check_memory(self) -> None:
+        """Raise :class:`CapacityError` if the lists will not fit; what else a particle has is a tenth of them."""
+        near, far, wall = self.capacity
+        size = wp.types.type_size_in_bytes(self.scalar)
+        needed = 1.1 * self.state.count * ((4 + 2 * size) * near + 4 * (far + wall))
+        free = memory_free(self.device)
+        if needed > SHARE * free:
+            raise CapacityError(
+                f"particles = {self.state.count}: need about {needed / 2**30:.3g} GiB on {self.device}, which has "
+                f"{free / 2**30:.3g} GiB free; take a coarser spacing, or a device with more memory"
+            )
 
     def build(self) -> None:
         """Build the lists anew for the places as they are."""
@@ -268,7 +241,7 @@ class MovingParticles:
             stages.append(self._blocks(divide, [self.blocks, wanted, self.viscous.partial, self.wall_scale], 1))
         weights, source, project = literal_kernels(scalar, d, serial)
         if scene.literal:
-            number = _lattice_number(d, LAPLACIAN)
+            number = lattice_number(d, LAPLACIAN)
             stages += stage(
                 weights,
                 [*own, near, LAPLACIAN * s.layout.spacing, number, *lists, s.position, self.pair_weight,
@@ -323,7 +296,7 @@ class MovingParticles:
                 [*own, near, *lists, s.position, self.pair_weight, self.fluid_inverse, self.potential, self.moved],
             )
         velocities, places = rigid_kernels(scalar, d)
-        g = self.grain_arrays
+        g = s.grain_arrays
         if two_phase and part == 0:
             arguments = [self.flow, s.flags, g["first"], s.position, s.velocity, self.moved, g["spin"], g["step"]]
             stages.append(Stage(velocities, g["count"], arguments, self.device))
@@ -422,7 +395,8 @@ class MovingParticles:
         arrays = {name: getattr(self.state, name).numpy() for name in FluidState.PARTICLE_ARRAYS}
         # The lists are those of the places for which they were built: sums keep their order.
         arrays |= {"built": self.built.numpy(), "flags": self.state.flags.numpy(), "late": self.late.numpy()}
-        arrays |= {f"grain_{name}": self.grain_arrays[name].numpy() for name in GRAIN_ARRAYS if self.grain_arrays}
+        grains = self.state.grain_arrays
+        arrays |= {f"grain_{name}": grains[name].numpy() for name in GRAIN_ARRAYS if grains}
         return arrays, {"steps": self.steps, "rebuilds": self.rebuilds}
 
     def restore(self, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
@@ -434,8 +408,8 @@ class MovingParticles:
             getattr(state, name).assign(arrays[name])
         state.flags.assign(arrays["flags"])
         self.late.assign(arrays["late"])
-        for name in GRAIN_ARRAYS if self.grain_arrays else ():
-            self.grain_arrays[name].assign(arrays[f"grain_{name}"])
+        for name in GRAIN_ARRAYS if state.grain_arrays else ():
+            state.grain_arrays[name].assign(arrays[f"grain_{name}"])
         self.steps, self.rebuilds = int(numbers["steps"]), int(numbers["rebuilds"])
         self.time = self.steps * self.scene.time_step
 
@@ -498,52 +472,3 @@ class Loop:
     def _once(self) -> None:
         for stage in self.body:
             stage()
-
-
-def _lattice_number(dimensions: int, reach: float) -> float:
-    """Sum of weights of a particle inside a square or cubic lattice; `reach` over its spacing."""
-    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
-    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
-    r = r[(r > 0) & (r < reach)]
-    return float(np.sum(reach / r - 1))
-
-
-def _weight(q: np.ndarray) -> np.ndarray:
-    return 1 / q - 1
-
-
-def _density_weight(q: np.ndarray) -> np.ndarray:
-    return (1 - q) ** 4 * (4 * q + 1)
-
-
-def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Mean over a layer amid the column of the weights of all others within `reach` spacings."""
-    everything = np.concatenate([layout.fluid, layout.wall])
-    middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
-    layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]
-    layer = layer[:: -(-len(layer) // 1000)]
-    near = everything[np.abs(everything[:, -1] - middle) < reach * layout.spacing]
-    parts = np.array_split(layer, -(-len(layer) // 50))
-    q = np.concatenate([np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in parts])
-    q = q[(q > 0) & (q < reach * layout.spacing)] / (reach * layout.spacing)
-    return float(np.sum(weight(q))) / len(layer)
-
-
-def _grain_arrays(state: FluidState, t, scalar) -> dict[str, Any]:
-    grains = state.grains
-    if grains is None:
-        return {}
-    device, d = state.device, state.scene.dimensions
-    place = state.position.numpy().astype(float)
-    middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
-    offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
-    return {
-        "count": grains.count,
-        "first": wp.array(grains.first, dtype=wp.int32, device=device),
-        "offset": wp.array(offset, dtype=t.vec, device=device),
-        "middle": wp.array(middle, dtype=t.vec, device=device),
-        "middle_rounding": wp.zeros(grains.count, dtype=t.vec, device=device),
-        "step": wp.zeros(grains.count, dtype=t.vec, device=device),
-        "spin": wp.zeros(grains.count, dtype=wp.vec3d if scalar is wp.float64 else wp.vec3f, device=device),
-        "turn": wp.array(np.tile(np.eye(d), (grains.count, 1, 1)), dtype=t.mat, device=device),
-    }
