@@ -23,6 +23,9 @@ def scene(
     aggregate_share: Annotated[float | None, "of the volume; default: the mix's gravel"] = None,
     aggregate_viscosity: Annotated[float, "of aggregate in the viscous forces, a numerical rigidity [Pa s]"] = 1e4,
     aggregate_density: Annotated[float, "[kg/m3]"] = 2630.0,
+    inclusions: Annotated[
+        str, "how the mortar's default constants take them: discs, spheres; auto: by dimension"
+    ] = "auto",
     mortar_viscosity: Annotated[float | None, "plastic viscosity [Pa s]; default: by homogenisation"] = None,
     mortar_yield: Annotated[float | None, "yield stress [Pa]; default: by homogenisation"] = None,
     density: Annotated[float | None, "of the concrete [kg/m3]; this and the next four replace the mix's"] = None,

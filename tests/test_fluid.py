@@ -509,11 +509,18 @@ def test_two_phases_keep_their_shares_and_carry_the_theory_within_three_per_cent
     row = {k: v[-1] for k, v in run.series.items()}
     inner, outer = row["aggregate_inner"], row["aggregate_outer"]
     assert 0.5 * (inner + outer) == pytest.approx(run.result["aggregates"]["share"], abs=0.01)
-    assert abs(run.result["pressure_error"]) < 0.03 and abs(run.result["force_balance_error"]) < 0.01
+    # Measured with three mixes at 5 mm: pressure off by 0.3 %, slip by 3 % of the mean velocity, balance 0.1 %.
+    assert abs(run.result["pressure_error"]) < 0.01 and abs(run.result["force_balance_error"]) < 4e-3
+    assert abs(run.result["slip_velocity_error"]) < 0.05 and run.result["profile_error"] < 0.015
 
 
 def test_mortar_is_what_the_mix_is_less_its_gravel():
     """Xu et al. 2021, Table 4 prints the mortars' densities; viscosity and yield stress go back to the concrete's."""
+    between_planes, in_pipe = scenes.channel(aggregates=True), scenes.tube(aggregates=True)
+    assert between_planes.aggregates.mortar.viscosity == pytest.approx(397 * (1 - 946 / 2630 / 0.82) ** 1.64)
+    assert in_pipe.aggregates.mortar.viscosity == pytest.approx(397 * (1 - 946 / 2630 / 0.6) ** 1.5)
+    assert scenes.channel(aggregates=True, inclusions="spheres").aggregates.mortar == in_pipe.aggregates.mortar
+    assert scenes.channel(aggregates=True, mortar_viscosity=90.0).aggregates.mortar.viscosity == 90.0
     for name, printed in (("no1", 2190), ("no2", 2187), ("no3", 2182)):
         concrete = CONCRETES[name]
         share = {"no1": 946, "no2": 936, "no3": 913}[name] / 2630

@@ -191,6 +191,8 @@ class Column:
     """Of the volume; None: the mix's gravel."""
     aggregate_viscosity: float = 1e4
     aggregate_density: float = 2630.0
+    inclusions: str = "auto"
+    """How :func:`mortar_of` takes the aggregate: `spheres`, `discs`, or what it is in so many dimensions."""
     mortar_viscosity: float | None = None
     """None: by :func:`mortar_of`, as the next."""
     mortar_yield: float | None = None
@@ -203,7 +205,7 @@ class Column:
             yield_stress=self.yield_stress, slip_viscosity=self.slip_viscosity, slip_yield=self.slip_yield,
         )  # fmt: skip
 
-    def coarse(self, concrete: Concrete) -> Aggregates | None:
+    def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
         """The coarse aggregate and its mortar, if there are two phases."""
         if not self.aggregates:
             return None
@@ -215,7 +217,9 @@ class Column:
             if self.mix not in MIXES:
                 refuse("aggregate_share", None, "is needed for a mix of one's own")
             share = MIXES[self.mix]["gravel"] / self.aggregate_density
-        mortar = mortar_of(concrete, share, self.aggregate_density)
+        one_of("inclusions", self.inclusions, ("auto", *SUSPENSIONS))
+        inclusions = self.inclusions if self.inclusions != "auto" else "discs" if dimensions == 2 else "spheres"
+        mortar = mortar_of(concrete, share, self.aggregate_density, inclusions)
         own = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
         mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
         return Aggregates(
@@ -248,7 +252,7 @@ def driven_column(name: str, dimensions: int, column: Column, **others: Any) -> 
         length=column.length,
         velocity=flow / (np.pi * bulk**2),
         gravity=column.gravity,
-        aggregates=column.coarse(concrete),
+        aggregates=column.coarse(concrete, dimensions),
         **others,
     )
 
@@ -287,15 +291,21 @@ def check_flow(run) -> dict[str, tuple[bool, str]]:
     return found
 
 
-def mortar_of(concrete: Concrete, share: float, density: float, most: float = 0.6) -> Concrete:
+SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
+"""Intrinsic viscosity and densest random packing of rigid inclusions: in three dimensions, and in two."""
+
+
+def mortar_of(concrete: Concrete, share: float, density: float, inclusions: str = "spheres") -> Concrete:
     """Mortar whose mix with a `share` of coarse aggregate of `density` gives `concrete`, by homogenisation.
 
-    Krieger & Dougherty for the viscosity, (1 - share / most)^(-2.5 most) with the densest packing `most`, and
-    Chateau, Ovarlez & Trung (2008) for the yield stress, the root of (1 - share) times that. An assumption: the
-    paper measured its mortars and does not print them.
+    Krieger & Dougherty for the viscosity, f = (1 - share / most)^(-intrinsic most), and Chateau, Ovarlez & Trung
+    (2008) for the yield stress, the root of (1 - share) f; `inclusions` names the constants in :data:`SUSPENSIONS`. An
+    assumption: the paper measured its mortars and does not print them.
     """
+    one_of("inclusions", inclusions, SUSPENSIONS)
+    intrinsic, most = SUSPENSIONS[inclusions]
     between("aggregate share", share, 0, np.nextafter(most, 0), "", "less than the densest packing")
-    factor = (1 - share / most) ** (-2.5 * most)
+    factor = (1 - share / most) ** (-intrinsic * most)
     rest = (concrete.density - share * density) / (1 - share)
     return Concrete(
         name=f"mortar of {concrete.name}",
