@@ -18,7 +18,7 @@ def scene(
     pressure: Annotated[float | None, "pressure on the piston instead of the flow [Pa]; theory gives its speed"] = None,
     radius: Annotated[float, "half the distance of the planes [m]"] = 0.05,
     length: Annotated[float, "of the column [m]"] = 0.3,
-    spacing: Annotated[float, "of the particles [m]; the nearest that divides the radius is taken"] = 5e-3,
+    spacing: Annotated[float, "of the particles [m]; the nearest that divides the width is taken"] = 5e-3,
     aggregates: Annotated[bool, "two phases: coarse aggregate as rigid groups of particles in mortar"] = False,
     aggregate_share: Annotated[float | None, "of the volume; default: the mix's gravel"] = None,
     aggregate_viscosity: Annotated[float, "of aggregate in the viscous forces, a numerical rigidity [Pa s]"] = 1e4,
