@@ -22,6 +22,7 @@ from warpcrete.model import find_device
 from warpcrete.record_fluid import places, tint
 
 MIXES = ("no1", "no2", "no3")
+FEW = 6  # mixes for a mean
 FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6, 2500e-6, 3000e-6)
 
 
@@ -195,10 +196,16 @@ class Studies:
                     "x" if two else "o", color=colour, markersize=4,
                     label=f"{words}, {100 * part['height']['value']:.0f} cm",
                 )  # fmt: skip
+            mixes = [r]
+            if two:
+                common = dict(spacing=self.fine, aggregates=True)
+                mixes += [result for _, result in self.run_all([common | dict(seed=k) for k in range(1, FEW)])]
+            slips = [100 * m["slip_velocity"]["value"] for m in mixes]
+            pressures = [m["pressure"]["value"] / 1e3 for m in mixes]
+            falls = np.array([_falls(m) for m in mixes]) * 100
             rows.append(
-                [words, f"{100 * r['slip_velocity']['value']:.2f}", "18.4" if two else "18.6",
-                 f"{100 * r['slip_velocity_theory']['value']:.2f}", f"{r['pressure']['value'] / 1e3:.3f}",
-                 f"{100 * _falls(r)[0]:.2f}", f"{100 * _falls(r)[1]:.0f}"]
+                [words, _scattered(slips), "18.4" if two else "18.6", f"{100 * r['slip_velocity_theory']['value']:.2f}",
+                 _scattered(pressures, 3), _scattered(falls[:, 0]), _scattered(falls[:, 1], 0)]
             )  # fmt: skip
         radius = np.linspace(0, 0.05, 200)
         state = theory.steady(theory.CONCRETES["no1"], theory.Line(), 1500e-6, "plane")
@@ -212,6 +219,7 @@ class Studies:
             ["model", "slip [cm/s]", "printed (Xu et al.)", "theory", "pressure [kPa]", "fall inside 4 cm [cm/s]",
              "of the whole fall [%]"],
             rows,
+            f"Two phases: mean and scatter of {FEW} mixes, until steady. "
             f"Plug of the theory: {100 * state.plug_radius:.2f} cm (printed: 1 cm for one phase, 2 cm for two).",
         )  # fmt: skip
 
@@ -283,7 +291,8 @@ class Studies:
             for spacing in (20e-3, 10e-3, 5e-3):
                 r = self.run(scenes.tube(mix=mix, spacing=spacing)).result
                 rows.append(
-                    [mix, f"{1e3 * spacing:g}", str(r["particles"]), f"{r['pressure']['value'] / 1e3:.3f}",
+                    [mix, f"{1e3 * r['spacing']['value']:g}", str(r["particles"]),
+                     f"{r['pressure']['value'] / 1e3:.3f}",
                      f"{r['pressure_theory']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
                      f"{100 * r['slip_velocity_error']:+.2f}", f"{100 * r['profile_error']:.2f}",
                      f"{r['speed']['wall_time']['value'] / r['steps'] * 1e3:.1f}"]
@@ -338,6 +347,12 @@ class Studies:
              "volume, at most [%]", "balance [%]", "wall time [s]"],
             rows,
         )  # fmt: skip
+
+
+def _scattered(values, digits: int = 2) -> str:
+    """Mean, and standard deviation if there are several."""
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
 
 
 def _falls(result: dict) -> tuple[float, float]:
