@@ -7,6 +7,7 @@ CUDA graph. Sums are formed in the same order every time.
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
@@ -24,31 +25,53 @@ OUTCOME = 4
 
 
 @functools.cache
-def solver_types(scalar, dimensions: int, vector: bool):
-    """What a row of the solution is, and its inner product."""
+def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
+    """What a row of the solution is (`value`), its `inner` product, the preconditioner, and what walls and surface add.
+
+    Rows of velocities are bound to the wall by `drag`, along it only; rows of scalars at the free surface are zero.
+    """
     t = mps_types(scalar, dimensions)
-    if vector:
-
-        @wp.func
-        def inner(a: t.vec, b: t.vec) -> wp.float64:
-            return wp.float64(wp.dot(a, b))
-
-        return t.vec, inner
+    f = mps_functions(scalar, dimensions)
+    value = t.vec if vector else scalar
 
     @wp.func
-    def product(a: scalar, b: scalar) -> wp.float64:
-        return wp.float64(a * b)
+    def inner(a: value, b: value) -> wp.float64:
+        if wp.static(vector):
+            return wp.float64(wp.dot(a, b))
+        else:
+            return wp.float64(a * b)
 
-    return scalar, product
+    @wp.func
+    def divided(r: value, free: wp.int32, diagonal: scalar, drag: scalar) -> value:
+        if wp.static(vector):
+            return r / (diagonal + drag)
+        else:
+            if free == 0 and diagonal > scalar(0.0):
+                return r / diagonal
+            return scalar(0.0)
+
+    @wp.func
+    def bounded(product: value, own: value, x: t.vec, free: wp.int32, drag: scalar) -> value:
+        if wp.static(vector):
+            if drag > scalar(0.0):
+                n = f.outward(x)
+                return product + drag * (own - wp.dot(n, own) * n)
+            return product
+        else:
+            if free != 0:
+                return scalar(0.0)
+            return product
+
+    return SimpleNamespace(value=value, inner=inner, divided=divided, bounded=bounded)
 
 
 @functools.cache
 def serial_solver(scalar, dimensions: int, vector: bool):
     """Kernel of one task a thread: the whole solve over rows `first` to `end`."""
     t = mps_types(scalar, dimensions)
-    f = mps_functions(scalar, dimensions)
+    f = solver_functions(scalar, dimensions, vector)
     Flow = fluid_struct(scalar)
-    value, inner = solver_types(scalar, dimensions, vector)
+    value = f.value
     product = row_product(scalar, value)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
@@ -68,8 +91,8 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         near_count: wp.array(dtype=wp.int32),
         near: wp.array(dtype=wp.int32),
         position: wp.array(dtype=t.vec),
-        free: wp.array(dtype=wp.int32),
         coefficient: wp.array(dtype=scalar),
+        free: wp.array(dtype=wp.int32),
         diagonal: wp.array(dtype=scalar),
         drag: wp.array(dtype=scalar),
         r: wp.array(dtype=value),
@@ -85,14 +108,10 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         for i in range(first, end):
-            z = value(scalar(0.0))
-            if wp.static(vector):
-                z = r[i] / (diagonal[i] + drag[i])
-            elif free[i] == 0 and diagonal[i] > scalar(0.0):
-                z = r[i] / diagonal[i]
+            z = f.divided(r[i], free[i], diagonal[i], drag[i])
             p[i] = z
-            rz += inner(r[i], z)
-            rr += inner(r[i], r[i])
+            rz += f.inner(r[i], z)
+            rr += f.inner(r[i], r[i])
         partial[part] = rz
         partial[parts + part] = rr
         meet(gate, parts)
@@ -109,14 +128,9 @@ def serial_solver(scalar, dimensions: int, vector: bool):
             for i in range(first, end):
                 own = p[i]
                 sum = diagonal[i] * own - product(near, coefficient, p, i * near_capacity, near_count[i])
-                if wp.static(vector):
-                    if drag[i] > scalar(0.0):
-                        n = f.outward(position[i])
-                        sum += drag[i] * (own - wp.dot(n, own) * n)
-                elif free[i] != 0:
-                    sum = value(scalar(0.0))
+                sum = f.bounded(sum, own, position[i], free[i], drag[i])
                 q[i] = sum
-                pq += inner(own, sum)
+                pq += f.inner(own, sum)
             partial[2 * parts + part] = pq
             meet(gate, parts)
             pq = wp.float64(0.0)
@@ -131,14 +145,10 @@ def serial_solver(scalar, dimensions: int, vector: bool):
                 x[i] = x[i] + alpha * p[i]
                 left = r[i] - alpha * q[i]
                 r[i] = left
-                z = value(scalar(0.0))
-                if wp.static(vector):
-                    z = left / (diagonal[i] + drag[i])
-                elif free[i] == 0 and diagonal[i] > scalar(0.0):
-                    z = left / diagonal[i]
+                z = f.divided(left, free[i], diagonal[i], drag[i])
                 q[i] = z
-                rz_after += inner(left, z)
-                rr += inner(left, left)
+                rz_after += f.inner(left, z)
+                rr += f.inner(left, left)
             partial[part] = rz_after
             partial[parts + part] = rr
             meet(gate, parts)
@@ -177,25 +187,10 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
     `now` is 0 and 1 in turn: which of two numbers holds the inner product of residual and preconditioned residual.
     """
     t = mps_types(scalar, dimensions)
-    f = mps_functions(scalar, dimensions)
+    f = solver_functions(scalar, dimensions, vector)
     Flow = fluid_struct(scalar)
     place = row_place(False)
-    value, inner = solver_types(scalar, dimensions, vector)
-
-    @wp.func
-    def divided(
-        i: wp.int32,
-        r: value,
-        free: wp.array(dtype=wp.int32),
-        diagonal: wp.array(dtype=scalar),
-        drag: wp.array(dtype=scalar),
-    ) -> value:
-        if wp.static(vector):
-            return r / (diagonal[i] + drag[i])
-        else:
-            if free[i] == 0 and diagonal[i] > scalar(0.0):
-                return r / diagonal[i]
-            return value(scalar(0.0))
+    value = f.value
 
     @wp.kernel(enable_backward=False, module="unique")
     def begin(
@@ -212,10 +207,10 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if i < flow.count:
-            z = divided(i, r[i], free, diagonal, drag)
+            z = f.divided(r[i], free[i], diagonal[i], drag[i])
             p[i] = z
-            rz = inner(r[i], z)
-            rr = inner(r[i], r[i])
+            rz = f.inner(r[i], z)
+            rr = f.inner(r[i], r[i])
         keep(i, partial, 0, rz)
         keep(i, partial, blocks, rr)
 
@@ -253,8 +248,8 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
         near_count: wp.array(dtype=wp.int32),
         near: wp.array(dtype=wp.int32),
         position: wp.array(dtype=t.vec),
-        free: wp.array(dtype=wp.int32),
         coefficient: wp.array(dtype=scalar),
+        free: wp.array(dtype=wp.int32),
         diagonal: wp.array(dtype=scalar),
         drag: wp.array(dtype=scalar),
         going: wp.array(dtype=wp.int32),
@@ -272,15 +267,9 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
             for k in range(near_count[i]):
                 at = place(i, k, flow.count, near_capacity)
                 sum -= coefficient[at] * p[near[at]]
-            if wp.static(vector):
-                if drag[i] > scalar(0.0):
-                    n = f.outward(position[i])
-                    sum += drag[i] * (own - wp.dot(n, own) * n)
-            else:
-                if free[i] != 0:
-                    sum = value(scalar(0.0))
+            sum = f.bounded(sum, own, position[i], free[i], drag[i])
             q[i] = sum
-            pq = inner(own, sum)
+            pq = f.inner(own, sum)
         keep(i, partial, 2 * blocks, pq)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -312,10 +301,10 @@ def parallel_solver(scalar, dimensions: int, vector: bool):
             x[i] = x[i] + alpha * p[i]
             left = r[i] - alpha * q[i]
             r[i] = left
-            z = divided(i, left, free, diagonal, drag)
+            z = f.divided(left, free[i], diagonal[i], drag[i])
             q[i] = z
-            rz = inner(left, z)
-            rr = inner(left, left)
+            rz = f.inner(left, z)
+            rr = f.inner(left, left)
         keep(i, partial, 0, rz)
         keep(i, partial, blocks, rr)
 

@@ -13,7 +13,10 @@ import warp as wp
 from .mps_types import HALTED, fluid_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
-"""Share of the lattice's sum of weights below which a particle lies at the free surface."""
+"""Share of the lattice's sum of weights below which a particle may lie at the free surface."""
+BENEATH = {2: 0.2, 3: 0.15}
+"""Share of that sum, in spacings, by which its neighbours must lie beneath it on balance. In a lattice's surface they
+do by 0.33 and 0.28; under a hole of one particle in the inside, where nothing is free, by 0.17 and 0.08."""
 
 
 @functools.cache
@@ -93,8 +96,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 j = far[place(i, k, flow.count, far_capacity)]
                 dense += f.density_weight(wp.length(position[j] - x), flow.wide)
 
-            # The least-squares line through the neighbours' pressures filters modes that gradients do not see.
             sums = number
+            above = first_moment[last]
             whole = moment
             s = flow.radius - wp.length(f.across(x))
             drag = scalar(0.0)
@@ -107,6 +110,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                     w = f.weight(r, flow.cutoff)
                     number += w
                     whole += wp.outer(w * d, d)
+                    above += w * d[last]
                     beyond = wp.length(f.across(y)) - flow.radius
                     if beyond > scalar(0.0) and y[last] > scalar(0.0):
                         # Velocity behind the wall continues the slope at the wall: what the pair would exchange
@@ -121,11 +125,13 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             wall_weight[i] = scalar(wp.static(2.0 * dimensions)) / full * drag
 
             surface = wp.int32(0)
-            if number < scalar(FREE) * flow.lattice_number:
+            beneath = scalar(wp.static(BENEATH[dimensions])) * flow.lattice_number * flow.spacing
+            if number < scalar(FREE) * flow.lattice_number and above < -beneath:
                 surface = wp.int32(1)
             free[i] = surface
             excess = dense / flow.lattice_density - scalar(1.0)
             crowding[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
+            # The least-squares line through the neighbours' pressures filters modes that gradients do not see.
             bent = back * first_moment
             own = flow.cutoff / flow.spacing  # weight of the particle's own pressure
             weight = own + sums - wp.dot(first_moment, bent)

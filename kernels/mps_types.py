@@ -16,7 +16,7 @@ HALTED = wp.constant(0)  # every kernel returns at once: the lists are stale, or
 STALE = wp.constant(1)  # a particle left the place for which the lists were built
 FAILED = wp.constant(2)  # number of the solve that failed, or LOST
 STEPS = wp.constant(3)  # completed steps
-OVERFLOW = wp.constant(4)  # longest row that a list would have needed
+OVERFLOW = wp.constant(4)  # over 1000: what the longest row of a list needs, in per mille of its capacity
 FLAGS = 8
 
 # What failed.

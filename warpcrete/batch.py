@@ -9,7 +9,6 @@ finished scene costs nothing, and a scene alone and in a batch holds the same bi
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +16,12 @@ import numpy as np
 import warp as wp
 
 from .errors import CapacityError, refuse
-from .interrupts import put_off
 from .kernels.types import FAILED, GOAL, HALTED, STALE, STEPS, scene_struct, types
 from .kernels.wall_motion import FIXED, MESH
+from .launching import Launcher, Stage, graph_sizes
 from .model import Model
 from .scene import MeshWall
-from .stages import Stage, publish_stage, step_stages
+from .stages import publish_stage, step_stages
 from .state import State, pair_types
 from .surfaces import Surfaces
 
@@ -77,15 +76,13 @@ class Batch:
         self.walls = sum(len(m.walls) for m in models)
         self._join_models()
         self._join_states()
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
-        self._graphs: dict[int, list[Any]] = {}
+        self._launcher = Launcher(self.threads, self.device)
         self.version = 0
         """Of the recorded launches: another number means that arrays or chunks have changed."""
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
         """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
         self._since_build = 0
-        self._largest_graph = LARGEST_GRAPH["cuda" if self.is_cuda else "cpu"]
         self._between_builds = 64
         self.goals = np.zeros(self.count, dtype=int)
         self._flags: np.ndarray | None = None
@@ -269,7 +266,7 @@ class Batch:
 
     def void(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""
-        self._graphs.clear()
+        self._launcher.void()
         self.version += 1
         self._stages: list[list] | None = None
         self._publish: Any = None
@@ -329,13 +326,9 @@ class Batch:
             count = min(count, CPU_LAUNCH)
         before = int(flags[0, int(STEPS)])
         self.changed()
-        sizes = [self._largest_graph] * (count // self._largest_graph)
-        sizes += [
-            1 << bit
-            for bit in reversed(range(self._largest_graph.bit_length()))
-            if count % self._largest_graph >> bit & 1
-        ]
-        self._replay(sizes)
+        sizes = graph_sizes(count, LARGEST_GRAPH["cuda" if self.is_cuda else "cpu"])
+        flags = np.empty((0, 0)) if self.is_cuda else self.host_flags()
+        self._launcher.replay(self.stages, sizes, lambda: bool(flags[:, int(HALTED)].all()))
         self.publish()
         flags = self.host_flags().copy()
         self._since_build += int(flags[0, int(STEPS)]) - before
@@ -346,58 +339,13 @@ class Batch:
         self._between_builds = max(self._since_build, 8)
         self._since_build = 0
 
+    def in_parts(self, stages: list[Stage]) -> None:
+        """Launch stages that chunks have apart, each on a thread of its own."""
+        self._launcher.apart(stages)
+
     def publish(self) -> None:
         """Bring what bodies hold up to date with their spheres."""
         if not self.features.clumps and self.spheres:
             if self._publish is None:
                 self._publish = publish_stage(self)
             self._publish()
-
-    def _replay(self, sizes: list[int]) -> None:
-        for size in set(sizes) - set(self._graphs):
-            self._graphs[size] = self._capture(size)
-        flags = np.empty((0, 0)) if self.is_cuda else self.host_flags()
-
-        def replay(part: int) -> None:
-            for size in sizes:
-                wp.capture_launch(self._graphs[size][part])
-                # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
-                if not self.is_cuda and flags[:, int(HALTED)].all():
-                    return
-
-        if self._pool is None:
-            replay(0)
-            return
-        # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
-        # reads again.
-        with put_off():
-            running = [self._pool.submit(replay, part) for part in range(self.threads)]
-            wait(running)
-        for one in running:
-            one.result()
-
-    def in_parts(self, stages: list[Stage]) -> None:
-        """Launch stages that chunks have apart, each on a thread of its own."""
-        if self._pool is None:
-            for stage in stages:
-                stage()
-            return
-        for stage in stages:
-            stage.record()
-        with put_off():
-            running = [self._pool.submit(stage) for stage in stages]
-            wait(running)
-        for one in running:
-            one.result()
-
-    def _capture(self, size: int) -> list[Any]:
-        for stage in {id(s): s for part in self.stages for s in part}.values():
-            wp.load_module(stage.kernel.module, device=self.device, block_dim=stage.block)
-        graphs = []
-        for part in self.stages:
-            with wp.ScopedCapture(device=self.device) as capture:
-                for _ in range(size):
-                    for stage in part:
-                        stage()
-            graphs.append(capture.graph)
-        return graphs

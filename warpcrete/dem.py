@@ -8,10 +8,10 @@ import warp as wp
 from .batch import Batch
 from .kernels.bonds import bond_kernels
 from .kernels.timestep import timestep_kernels
+from .launching import Stage
 from .model import Model
 from .probes import listed_pairs
 from .scene import Bonds, Driven, MeshWall, PlaneWall, Scene
-from .stages import Stage
 from .state import State
 
 

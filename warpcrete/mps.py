@@ -1,21 +1,11 @@
-"""The implicit moving particle method: one step as a list of stages, and what carries many steps.
+"""The implicit moving particle method: what carries a state forward, its lists and working arrays.
 
-A step projects as pressure-correction methods do, with the pressure of the step before in the prediction:
-
-1. geometry: moment matrices, apparent viscosity, predicted pressure (filtered);
-2. velocities under viscosity, slip layer, predicted pressure and weight (implicit);
-3. the increment of pressure that takes their divergence away;
-4. places: along the velocities, then off crowds by a second, loose solve that no velocity feels.
-
-Xu, Li & Jiang 2021, sections 2.1 to 2.5; where their printed scheme does not hold, notebooks/fluid.md says what is
-done instead and why.
+What a step is made of stands in `mps_stages.py`.
 """
 
 from __future__ import annotations
 
 import math
-import weakref
-from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -23,14 +13,10 @@ import warp as wp
 
 from .batch import default_threads
 from .errors import CapacityError, ConvergenceError, InstabilityError
-from .fluid_state import CUTOFF, WIDE, FluidState, flow_numbers, lattice_number
-from .interrupts import put_off
-from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME, parallel_solver, serial_solver
+from .fluid_state import CUTOFF, WIDE, FluidState, flow_numbers
+from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME
 from .kernels.mps_lists import list_kernels
-from .kernels.mps_literal import LAPLACIAN, literal_kernels
-from .kernels.mps_motion import advance_kernel, finish, shift_kernel
-from .kernels.mps_operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
-from .kernels.mps_rigid import rigid_kernels
+from .kernels.mps_literal import LAPLACIAN
 from .kernels.mps_types import (
     DENSITY,
     FAILED,
@@ -42,19 +28,18 @@ from .kernels.mps_types import (
     STEPS,
     VISCOSITY,
     mps_types,
-    span,
 )
-from .kernels.sums import BLOCK, parallel_scale, serial_scale
-from .kernels.threads import barrier
+from .kernels.sums import BLOCK
+from .launching import Launcher, Step, graph_sizes
 from .memory import SHARE, memory_free
-from .stages import Stage
+from .mps_stages import step_stages
+from .spine import Course
 
 SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
 CORRECTION = 0.2  # share of the density's error that one step takes away
-VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
-LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next; an even number
 HISTORY = 256  # iterations whose residual is kept
-GRAPH_STEPS = {"cpu": 8, "cuda": 16}
+LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
+LAUNCH = 4  # largest graphs from one look at the flags to the next
 GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 """Of grains, what the next step depends on."""
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
@@ -83,9 +68,7 @@ class MovingParticles:
         self.scalar = state.scalar
         n = state.count
         self.threads = 1 if self.is_cuda else max(1, min(threads or default_threads(), n // 256))
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
-        if self._pool is not None:
-            weakref.finalize(self, self._pool.shutdown, wait=False)
+        self._launcher = Launcher(self.threads, self.device)
         t = mps_types(self.scalar, scene.dimensions)
         device = self.device
 
@@ -138,7 +121,7 @@ class MovingParticles:
         return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
-        """Rows of lists for what the lattice has, and as much again in crowds."""
+        """Rows of lists for what the lattice has, and more than half as much again for crowds."""
         d = self.scene.dimensions
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
@@ -150,8 +133,8 @@ class MovingParticles:
         self.near, self.far, self.wall = (wp.zeros(n * c, dtype=wp.int32, device=device) for c in self.capacity)
         self.pair_weight = wp.zeros(n * near, dtype=self.scalar, device=device)
         self.pair_coefficient = wp.zeros(n * near, dtype=self.scalar, device=device)
-        self._graphs: dict[int, list[Any]] = {}
-        self._stages = None
+        self._launcher.void()
+        self._stages: Step | None = None
 
     def _check_memory(self) -> None:
         """Raise :class:`CapacityError` if the lists will not fit; what else a particle has is a tenth of them."""
@@ -199,176 +182,23 @@ class MovingParticles:
         self.late.zero_()
         self.rebuilds += 1
 
-    # Stages.
+    # Stepping.
 
     @property
-    def stages(self) -> list[list[Stage]]:
+    def stages(self) -> Step:
         """Stages of one step, a list for each thread."""
         if self._stages is None:
-            rows = [self.state.count * k // self.threads for k in range(self.threads + 1)]
-            self._stages = [self._part(k, rows[k], rows[k + 1]) for k in range(self.threads)]
+            self._stages = step_stages(self)
         return self._stages
-
-    def _part(self, part: int, first: int, end: int) -> list[Any]:
-        s, scene, d = self.state, self.scene, self.scene.dimensions
-        serial, scalar = not self.is_cuda, self.scalar
-        two_phase = s.grains is not None
-        near, far, wall = self.capacity
-        rows = -(-(end - first) // span(serial))
-        own = [self.flow, first, end]
-        meet = [Stage(barrier, 1, [self.gate, self.threads], self.device)] if self.threads > 1 else []
-        lists = [s.flags, self.near_count, self.near]
-
-        def stage(kernel, arguments) -> list[Any]:
-            return [Stage(kernel, rows, arguments, self.device), *meet]
-
-        stages = stage(
-            geometry_kernel(scalar, d, serial, two_phase),
-            [*own, near, far, wall, *lists, self.far_count, self.far, self.near_wall, self.wall, s.group, s.position,
-             s.wall_position, s.velocity, s.pressure, self.pair_weight, self.fluid_inverse, self.whole_inverse,
-             self.inverse_number, self.free, self.crowding, self.wall_weight, self.viscosity, self.compliance,
-             self.predicted],
-        )  # fmt: skip
-        wanted = self.wet_area / s.layout.volume
-        if serial:
-            if part == 0:
-                alone = serial_scale(scalar)
-                stages.append(Stage(alone, 1, [s.count, wanted, self.wall_weight, self.wall_scale], self.device))
-            stages += meet
-        else:
-            gather, divide = parallel_scale(scalar)
-            stages.append(self._blocks(gather, [s.count, self.wall_weight, self.viscous.partial]))
-            stages.append(self._blocks(divide, [self.blocks, wanted, self.viscous.partial, self.wall_scale], 1))
-        weights, source, project = literal_kernels(scalar, d, serial)
-        if scene.literal:
-            number = lattice_number(d, LAPLACIAN)
-            stages += stage(
-                weights,
-                [*own, near, LAPLACIAN * s.layout.spacing, number, *lists, s.position, self.pair_weight,
-                 self.inverse_number, self.predicted],
-            )  # fmt: skip
-        stages += stage(
-            momentum_kernel(scalar, d, serial, two_phase),
-            [*own, near, *lists, s.density, s.position, s.velocity, self.pair_weight, self.inverse_number,
-             self.fluid_inverse, self.wall_weight, self.wall_scale, self.viscosity, self.compliance, self.predicted,
-             self.pair_coefficient, self.diagonal, self.drag, self.traction, self.viscous.residual],
-        )  # fmt: skip
-        size = math.sqrt(s.count)
-        rate = scene.concrete.density / scene.time_step
-        stages += self._solve(
-            self.viscous,
-            True,
-            VISCOSITY,
-            s.velocity,
-            part,
-            first,
-            end,
-            0.0,
-            VELOCITY_ERROR * rate * scene.velocity * size,
-        )
-        stages += stage(
-            source,
-            [*own, near, wall, *lists, self.near_wall, self.wall, self.free, s.position, s.wall_position, s.velocity,
-             self.pair_weight, self.pair_coefficient, self.diagonal, self.projection.residual, self.increment],
-        ) if scene.literal else stage(
-            divergence_kernel(scalar, d, serial, two_phase),
-            [*own, near, wall, *lists, self.near_wall, self.wall, s.density, self.free, s.position, s.wall_position,
-             s.velocity, self.pair_weight, self.inverse_number, self.whole_inverse, self.pair_coefficient,
-             self.diagonal, self.projection.residual, self.increment, self.potential],
-        )  # fmt: skip
-        stages += self._solve(
-            self.projection, False, PRESSURE, self.increment, part, first, end, scene.tolerance,
-            1e-4 * scene.tolerance * rate * scene.velocity / scene.radius * size,
-        )  # fmt: skip
-        stages += stage(
-            project,
-            [*own, near, wall, *lists, self.near_wall, self.wall, s.position, s.wall_position, self.increment,
-             s.velocity, s.pressure],
-        ) if scene.literal else stage(
-            gradient_kernel(scalar, d, serial, two_phase),
-            [*own, near, *lists, s.density, s.position, self.pair_weight, self.fluid_inverse, self.predicted,
-             self.increment, s.velocity, s.pressure],
-        )  # fmt: skip
-        if not scene.literal:
-            stages += self._solve(self.spreading, False, DENSITY, self.potential, part, first, end, 0.1, 1e-7 * size)
-            stages += stage(
-                shift_kernel(scalar, d, serial),
-                [*own, near, *lists, s.position, self.pair_weight, self.fluid_inverse, self.potential, self.moved],
-            )
-        velocities, places = rigid_kernels(scalar, d)
-        g = s.grain_arrays
-        if two_phase and part == 0:
-            arguments = [self.flow, s.flags, g["first"], s.position, s.velocity, self.moved, g["spin"], g["step"]]
-            stages.append(Stage(velocities, g["count"], arguments, self.device))
-        if two_phase:
-            stages += meet
-        stages += stage(
-            advance_kernel(scalar, d, serial),
-            [*own, 1.5 * s.layout.height, s.flags, s.velocity, self.moved, self.built, s.rounding, s.position,
-             self.late],
-        )  # fmt: skip
-        if two_phase and part == 0:
-            arguments = [
-                self.flow, s.flags, g["first"], g["offset"], g["step"], g["spin"], g["middle"], g["middle_rounding"],
-                g["turn"], s.position,
-            ]  # fmt: skip
-            stages.append(Stage(places, g["count"], arguments, self.device))
-        if two_phase:
-            stages += meet
-        if part == 0:
-            stages.append(Stage(finish, 1, [s.flags, self.late], self.device))
-        return stages + meet
-
-    def _blocks(self, kernel, arguments: list[Any], blocks: int | None = None) -> Stage:
-        stage = Stage(kernel, BLOCK * (self.blocks if blocks is None else blocks), arguments, self.device)
-        stage.block = BLOCK
-        return stage
-
-    def _solve(
-        self, solve: Solve, vector: bool, what: int, x, part: int, first: int, end: int, tolerance: float, enough: float
-    ) -> list[Any]:
-        s, d = self.state, self.scene.dimensions
-        near, most = self.capacity[0], self.scene.most_iterations
-        matrix = [self.near_count, self.near, s.position, self.free, self.pair_coefficient, self.diagonal, self.drag]
-        if not self.is_cuda:
-            kernel = serial_solver(self.scalar, d, vector)
-            arguments = [
-                self.flow, part, self.threads, first, end, near, what, tolerance, enough, most, self.gate, s.flags,
-                *matrix, solve.residual, solve.direction, solve.product, x, solve.partial, solve.outcome,
-                solve.history,
-            ]  # fmt: skip
-            return [Stage(kernel, 1, arguments, self.device)]
-        begin, ready, multiply, update, direct = parallel_solver(self.scalar, d, vector)
-        diagonal = [self.free, self.diagonal, self.drag]
-        b, r, p, q, numbers = self.blocks, solve.residual, solve.direction, solve.product, solve.numbers
-        going, partial = solve.going, solve.partial
-        body = []
-        for now in (0, 1) * (LOOPED // 2):
-            body += [
-                self._blocks(multiply, [self.flow, b, near, *matrix, going, p, q, partial]),
-                self._blocks(update, [self.flow, b, now, *diagonal, going, numbers, p, q, r, x, partial]),
-                self._blocks(
-                    direct,
-                    [self.flow, b, now, most, what, s.flags, partial, going, numbers, p, q, solve.outcome,
-                     solve.history],
-                ),
-            ]  # fmt: skip
-        return [
-            self._blocks(begin, [self.flow, b, *diagonal, r, p, partial]),
-            self._blocks(ready, [b, tolerance, enough, s.flags, partial, numbers, solve.outcome, going], 1),
-            Loop(going, body),
-        ]
-
-    # Stepping.
 
     def advance(self, steps: int) -> None:
         """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
         goal = self.steps + steps
         while self.steps < goal:
             count = goal - self.steps
-            largest = GRAPH_STEPS["cuda" if self.is_cuda else "cpu"]
-            sizes = [largest] * min(count // largest, 4) or [1 << (count.bit_length() - 1)]
-            self._replay(sizes)
+            largest = LARGEST_GRAPH["cuda" if self.is_cuda else "cpu"]
+            sizes = graph_sizes(min(count, LAUNCH * largest), largest)
+            self._launcher.replay(self.stages, sizes, lambda: bool(self.state.flags.numpy()[int(HALTED)]))
             flags = self.state.flags.numpy()
             self.steps = int(flags[int(STEPS)])
             self.time = self.steps * self.scene.time_step
@@ -389,6 +219,11 @@ class MovingParticles:
         raise ConvergenceError(
             self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.most_iterations
         )
+
+    def advancing(self, until: float) -> Course:
+        """Course: whole steps up to the one that ends nearest to `until` [s]."""
+        self.advance(math.floor(until / self.scene.time_step + 0.5) - self.steps)
+        yield from ()
 
     def memory(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """All that the next step depends on: arrays and numbers."""
@@ -424,51 +259,3 @@ class MovingParticles:
                 "after": float(outcome[int(AFTER)]),
             }
         return found
-
-    def _replay(self, sizes: list[int]) -> None:
-        for size in set(sizes) - set(self._graphs):
-            self._graphs[size] = self._capture(size)
-
-        def replay(part: int) -> None:
-            for size in sizes:
-                wp.capture_launch(self._graphs[size][part])
-
-        if self._pool is None:
-            replay(0)
-            return
-        # All threads must set out, or those that did wait for ever at the first barrier.
-        with put_off():
-            running = [self._pool.submit(replay, part) for part in range(self.threads)]
-            wait(running)
-        for one in running:
-            one.result()
-
-    def _capture(self, size: int) -> list[Any]:
-        for part in self.stages:
-            for stage in part:
-                for one in stage.body if isinstance(stage, Loop) else [stage]:
-                    wp.load_module(one.kernel.module, device=self.device, block_dim=one.block)
-        graphs = []
-        for part in self.stages:
-            with wp.ScopedCapture(device=self.device) as capture:
-                for _ in range(size):
-                    for stage in part:
-                        stage()
-            graphs.append(capture.graph)
-        return graphs
-
-
-class Loop:
-    """Stages that repeat on the device while a flag is set (CUDA)."""
-
-    def __init__(self, condition, body: list[Stage]) -> None:
-        self.condition, self.body = condition, body
-
-    def __call__(self) -> None:
-        for stage in self.body:
-            stage.record()
-        wp.capture_while(self.condition, self._once)
-
-    def _once(self) -> None:
-        for stage in self.body:
-            stage()

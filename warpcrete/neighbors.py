@@ -13,7 +13,8 @@ from .errors import CapacityError
 from .kernels.mesh_walls import candidate_kernels
 from .kernels.neighbors import invert, iota, neighbor_kernels, order_kernels, permute_kernel
 from .kernels.types import STALE, types
-from .stages import Stage, tasks
+from .launching import Stage
+from .stages import tasks
 from .state import State, pair_types
 
 DRIFT_LANES = 256

@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import warp as wp
+from typing import TYPE_CHECKING
 
 from .kernels.bodies import clump_kernel, publish_kernel, sphere_kernel, tick_kernel
 from .kernels.contacts import contact_kernel
 from .kernels.mesh_walls import mesh_kernel
-from .kernels.threads import barrier
 from .kernels.types import SPAN
 from .kernels.wall_motion import advance_kernel
 from .kernels.walls import wall_kernel
+from .launching import Stage, barrier_stage
 
 if TYPE_CHECKING:
     from .batch import Batch
-
-
-def block_size(threads: int) -> int:
-    """Threads of a CUDA block: small blocks where there are few, so that all multiprocessors have some."""
-    return 64 if threads < 200_000 else 256
-
-
-class Stage:
-    """One kernel launch, recorded once and replayed until an array of its changes."""
-
-    def __init__(self, kernel, dim: int | tuple[int, ...], arguments: list, device) -> None:
-        self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
-        self.block = block_size(dim if isinstance(dim, int) else 0) if device.is_cuda else 1
-        self._command: Any = None
-
-    def record(self) -> None:
-        """Make ready, kernel loaded; nothing runs."""
-        if self._command is None and self.dim != 0:
-            self._command = wp.launch(
-                self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
-                block_dim=self.block,
-            )  # fmt: skip
-
-    def __call__(self) -> None:
-        if self.dim != 0:
-            self.record()
-            self._command.launch()
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -54,7 +25,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
     """Stages of one step on the arrays that the batch holds now, a list for each thread."""
     b, f, device = batch, batch.features, batch.device
     parts = []
-    meet = barrier_stage(batch)
+    meet = barrier_stage(b.threads, device)
     for part in range(b.threads):
         first, last = int(b.sphere_chunks[part]), int(b.sphere_chunks[part + 1])
         first_body, last_body = int(b.body_chunks[part]), int(b.body_chunks[part + 1])
@@ -153,14 +124,6 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
             b.sphere_spin,
         ]  # fmt: skip
     return Stage(kernel, tasks(batch, last - first), arguments, b.device)
-
-
-def barrier_stage(batch: Batch) -> list[Stage]:
-    """What a thread does to wait for the others; nothing if it is alone."""
-    if batch.threads == 1:
-        return []
-    gate = wp.zeros(2, dtype=wp.int32, device=batch.device)
-    return [Stage(barrier, 1, [gate, batch.threads], batch.device)]
 
 
 def publish_stage(batch: Batch) -> Stage:
