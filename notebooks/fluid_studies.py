@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warpcrete import scenes, theory
-from warpcrete.batch import default_threads
 from warpcrete.fluid_simulation import FluidSimulation
+from warpcrete.launching import default_threads
 from warpcrete.model import find_device
 from warpcrete.record_fluid import places, tint
 

@@ -14,7 +14,8 @@ import numpy as np
 import warp as wp
 
 from warpcrete import scenes
-from warpcrete.simulation import Run, Simulation
+from warpcrete.simulation import Simulation
+from warpcrete.spine import Run
 from warpcrete.together import run_together
 
 # Zhan et al. 2019, section 5.2: each parameter alone, on unit D unless its own is named.

@@ -28,9 +28,9 @@ import peers
 import warp as wp
 
 from warpcrete import clumps
-from warpcrete.batch import default_threads
 from warpcrete.kernels.contact_law import contact_functions
 from warpcrete.kernels.types import types
+from warpcrete.launching import default_threads
 from warpcrete.laws import Contact, ContactLaw
 from warpcrete.model import build_model, find_device
 from warpcrete.probes import body_sums, contact_sums

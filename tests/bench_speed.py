@@ -19,7 +19,7 @@ import warp as wp
 from bench_peers import GRAVITY, box_of_spheres, scene_of
 
 from warpcrete import clumps
-from warpcrete.batch import default_threads
+from warpcrete.launching import default_threads
 from warpcrete.memory import bytes_per_body, memory_free
 from warpcrete.model import build_model, find_device
 from warpcrete.probes import body_sums, contact_sums

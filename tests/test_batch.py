@@ -12,7 +12,8 @@ from warpcrete.memory import bytes_per_body, check_memory, memory_needed
 from warpcrete.model import build_model, find_device
 from warpcrete.provenance import state_hash
 from warpcrete.scene import Bodies, PlaneWall, Scene, Watch
-from warpcrete.simulation import Recorder, Run, Simulation
+from warpcrete.simulation import Simulation
+from warpcrete.spine import Recorder, Run
 from warpcrete.state import State, placed_bodies
 from warpcrete.together import run_together
 

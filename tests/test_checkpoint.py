@@ -19,7 +19,8 @@ from warpcrete.record_rerun import RerunRecorder
 from warpcrete.record_usd import UsdRecorder
 from warpcrete.run_folder import TableRecorder
 from warpcrete.scene import Bodies, Bonds, Driven, Hydration, MeshWall, PlaneWall, Prescribed, Scene, TimeStep
-from warpcrete.simulation import Recorder, Simulation
+from warpcrete.simulation import Simulation
+from warpcrete.spine import Recorder
 
 KILLS = 3
 

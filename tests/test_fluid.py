@@ -13,6 +13,7 @@ from warpcrete.errors import CapacityError, ConvergenceError, RunFolderError, Sc
 from warpcrete.fluid import check_flow, mortar_of
 from warpcrete.fluid_simulation import FluidSimulation
 from warpcrete.fluid_state import FluidState, layout
+from warpcrete.launching import default_threads
 from warpcrete.model import find_device
 from warpcrete.mps import MovingParticles
 from warpcrete.spine import Recorder
@@ -434,7 +435,7 @@ def test_same_run_same_bits_and_threads_agree(device):
 
     assert run(1).result["state_hash"] == run(1).result["state_hash"]
     cores = 2 if device == "cpu" else 1
-    if warpcrete.batch.default_threads() < cores:
+    if default_threads() < cores:
         pytest.skip("one core")
     one, two = run(1), run(cores)
     assert two.result["pressure"]["value"] == pytest.approx(one.result["pressure"]["value"], rel=2e-3)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from warpcrete import scenes
-from warpcrete.simulation import Run, Simulation
+from warpcrete.simulation import Simulation
+from warpcrete.spine import Run
 
 pytestmark = pytest.mark.slow
 

@@ -22,7 +22,8 @@ from .errors import (
 if TYPE_CHECKING:
     from .fluid_simulation import FluidSimulation
     from .scene import Scene
-    from .simulation import Run, Simulation
+    from .simulation import Simulation
+    from .spine import Run
 
 __all__ = [
     "CapacityError",

@@ -8,8 +8,6 @@ finished scene costs nothing, and a scene alone and in a batch holds the same bi
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,17 +28,6 @@ LARGEST_GRAPH = {"cpu": 8, "cuda": 64}
 """Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
 BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
-
-
-def default_threads() -> int:
-    """CPU cores that this process may use, by its affinity and its container's share."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    try:
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
-        cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # no such file, or no quota
-        pass
-    return cores
 
 
 def batch_key(model: Model) -> tuple:

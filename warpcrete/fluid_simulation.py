@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import math
-import os
 import time as wall_clock
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import checkpoint
-from .batch import default_threads
-from .errors import WarpcreteError, one_of, refuse
+from .errors import WarpcreteError, refuse
 from .fluid import FluidScene
 from .fluid_probes import figures, profile
 from .fluid_state import FluidState
-from .model import find_device
 from .mps import MovingParticles
 from .provenance import arrays_hash, provenance
-from .scene import PRECISIONS
 from .series import quantity, unit_of
-from .spine import Course, Progress, Recorder, Run, Spine
+from .spine import Run, Spine, to_end
 from .theory import velocity
 
 LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
@@ -35,35 +29,15 @@ APART = 5e-3
 
 
 class FluidSimulation(Spine):
-    """A flow on a device, with recorders. Parameters and errors are those of :class:`warpcrete.Simulation`;
-    a solve that does not converge raises :class:`ConvergenceError`.
+    """A flow; parameters and errors are those of :class:`warpcrete.spine.Spine`. A solve that does not converge raises
+    :class:`ConvergenceError`.
     """
 
-    def __init__(
-        self,
-        scene: FluidScene,
-        *,
-        device: str | None = None,
-        precision: str | None = None,
-        threads: int | None = None,
-        recorders: Sequence[Recorder] = (),
-        frame_interval: float = 0.04,
-        progress: Progress | bool = False,
-        checkpoint_path: Path | None = None,
-        checkpoint_every: float = 60.0,
-    ) -> None:
-        super().__init__(
-            recorders=recorders, frame_interval=frame_interval, progress=progress, checkpoint_path=checkpoint_path,
-            checkpoint_every=checkpoint_every,
-        )  # fmt: skip
-        self.scene: FluidScene = scene
-        self.device = find_device(device)
-        self.precision = precision or scene.precision
-        one_of("precision", self.precision, PRECISIONS)
-        self.threads = default_threads() if threads is None else threads
-        cores = os.cpu_count() or 1
-        if not 1 <= self.threads <= cores:
-            refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
+    scene: FluidScene
+
+    def _set_up(self) -> None:
+        if not isinstance(self.scene, FluidScene):
+            refuse("scene", type(self.scene).__name__, "is no flow", "discrete elements take a Simulation")
         self.steady = False
         self._rows: list[dict[str, float]] = []
 
@@ -82,7 +56,7 @@ class FluidSimulation(Spine):
         started = wall_clock.perf_counter()
         self._tell("packing", 0.0)
         self.flow = MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
-        self.stepper = _Stepper(self.flow)
+        self.stepper = self.flow
         self._tell("packing", 1.0)
         self._spent["packing"] = wall_clock.perf_counter() - started
 
@@ -115,12 +89,7 @@ class FluidSimulation(Spine):
             raise WarpcreteError("this simulation has run; make a new FluidSimulation for another run")
         if not hasattr(self, "flow"):
             self.prepare()
-        course = self.running()
-        while True:
-            try:
-                next(course)
-            except StopIteration as end:
-                return end.value
+        return to_end(self.running())
 
     def _sample(self) -> dict[str, float]:
         row = figures(self.flow, self._rows[-1] if self._rows else None)
@@ -178,7 +147,7 @@ class FluidSimulation(Spine):
                 result[f"{name}_theory"] = quantity(wanted, unit_of(name))
                 # A flow may be all shear: slip is judged by the mean velocity.
                 size = scene.velocity if name == "slip_velocity" else wanted
-                result[f"{name}_error"] = (mean - wanted) / size if size else None
+                result[f"{name}_error"] = (mean - wanted) / size
             result["profile_error"] = float(series["profile_deviation"][chosen].mean()) / scene.velocity
             result["volume_error"] = float(series["volume_error"][np.argmax(np.abs(series["volume_error"]))])
             result["force_balance_error"] = float(series["force_balance_error"][chosen].mean())
@@ -210,24 +179,3 @@ class FluidSimulation(Spine):
     def release(self) -> None:
         """Let go of the device's memory; the run's results stay."""
         del self.flow, self.stepper
-
-
-class _Stepper:
-    """What the spine asks of a method, for moving particles."""
-
-    def __init__(self, flow: MovingParticles) -> None:
-        self._flow = flow
-
-    @property
-    def time(self) -> float:
-        return self._flow.time
-
-    @property
-    def steps(self) -> int:
-        return self._flow.steps
-
-    def advancing(self, until: float) -> Course:
-        """Course: whole steps up to the one that ends nearest to `until`."""
-        self._flow.advance(math.floor(until / self._flow.scene.time_step + 0.5) - self._flow.steps)
-        return
-        yield

@@ -32,7 +32,7 @@ def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], An
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:
     """Go on with an interrupted run, in its folder; `live` shows it from here on."""
-    from .batch import default_threads
+    from .launching import default_threads
     from .run_folder import read_json
 
     if not (folder / "scene.json").is_file():
@@ -62,9 +62,9 @@ def run(name: str, module, parameters: dict[str, Any], *, out, device, precision
         usd, pipeline_vertical, pipeline_horizontal, pipeline_other, checkpoint_every, threads, quiet,
         going_on: bool = False) -> None:  # fmt: skip
     """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there."""
-    from .batch import default_threads
     from .fluid import FluidScene
     from .fluid_simulation import FluidSimulation
+    from .launching import default_threads
     from .pipeline import pipeline_estimate
     from .progress import ProgressBar
     from .provenance import write_json

@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+import math
+import os
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from .interrupts import put_off
 from .kernels.threads import barrier
 
 
-def block_size(threads: int) -> int:
+def default_threads() -> int:
+    """CPU cores that this process may use, by its affinity and its container's share."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = min(cores, max(1, int(quota) // int(period)))
+    except (OSError, ValueError):  # no such file, or no quota
+        pass
+    return cores
+
+
+def block_size(dim: int | tuple[int, ...]) -> int:
     """Threads of a CUDA block: small blocks where there are few, so that all multiprocessors have some."""
-    return 64 if threads < 200_000 else 256
+    return 64 if math.prod(np.atleast_1d(dim).tolist()) < 200_000 else 256
 
 
 class Stage:
     """One kernel launch, recorded once and replayed until an array of its changes."""
 
-    def __init__(self, kernel, dim: int, arguments: list, device, *, block: int | None = None) -> None:
+    def __init__(self, kernel, dim: int | tuple[int, ...], arguments: list, device, *, block: int | None = None) -> None:
         self.kernel, self.dim, self.arguments, self.device = kernel, dim, arguments, device
         self.block = (block or block_size(dim)) if device.is_cuda else 1
         self._command: Any = None

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .batch import default_threads
 from .errors import CapacityError, ConvergenceError, InstabilityError
 from .fluid_state import CUTOFF, WIDE, FluidState, flow_numbers
 from .kernels.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME
@@ -30,7 +29,7 @@ from .kernels.mps_types import (
     mps_types,
 )
 from .kernels.sums import BLOCK
-from .launching import Launcher, Step, graph_sizes
+from .launching import Launcher, Step, default_threads, graph_sizes
 from .memory import SHARE, memory_free
 from .mps_stages import step_stages
 from .spine import Course

@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 
 from .record_plot import plot_aggregates
-from .simulation import Run
+from .spine import Run
 
 
 def show(run: Run, recording: Path | str | None = None):

@@ -6,7 +6,7 @@ from typing import Any
 
 from .errors import between
 from .series import quantity
-from .simulation import Run
+from .spine import Run
 
 
 def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .simulation import Recorder, Run, Simulation
+from .simulation import Simulation
+from .spine import Recorder, Run
 from .state import rotate
 
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
 from .errors import RunFolderError, one_of, refuse
-from .simulation import Recorder, Run, Simulation
+from .simulation import Simulation
+from .spine import Recorder, Run
 
 FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
 WALL_COLOURS = {"pipe": (150, 165, 180, 22), "piston": (190, 110, 60, 255)}

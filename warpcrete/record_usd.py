@@ -12,7 +12,8 @@ import numpy as np
 
 from .drawing import body_values, colour_limit, colours, view, wall_mesh, wall_pose
 from .errors import RunFolderError
-from .simulation import Recorder, Run, Simulation
+from .simulation import Simulation
+from .spine import Recorder, Run
 
 FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
 

@@ -10,7 +10,8 @@ from typing import Any, TextIO
 from .errors import RunFolderError
 from .provenance import provenance, write_json
 from .series import unit_of
-from .simulation import Recorder, Run, Simulation
+from .simulation import Simulation
+from .spine import Recorder, Run
 
 
 def check_new(folder: Path) -> None:

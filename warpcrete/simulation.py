@@ -7,9 +7,7 @@ run.series["pressure"]
 
 from __future__ import annotations
 
-import os
 import time as wall_clock
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,17 +15,16 @@ from typing import Any
 import numpy as np
 
 from . import checkpoint
-from .batch import default_threads
 from .errors import WarpcreteError, refuse
 from .kernels.wall_motion import FIXED, PRESCRIBED
 from .memory import check_memory
-from .model import build_model, find_device
+from .model import build_model
 from .packing import PackingReport, pack
 from .probes import body_sums, contact_sums
 from .provenance import provenance, state_hash
 from .scene import Scene
 from .series import STORED, Sampler, energy_balance, momentum_balance, pressure_figures, quantity, unit_of
-from .spine import Progress, Recorder, Run, Spine
+from .spine import Run, Spine
 from .state import BodyTable, State, placed_bodies
 from .stepper import Course, Stepper, drive_one
 from .watch import Watch
@@ -36,45 +33,15 @@ QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 
 
 class Simulation(Spine):
-    """A scene on a device, with recorders.
+    """Discrete elements; parameters and errors are those of :class:`warpcrete.spine.Spine`."""
 
-    Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
-    `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
-    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two
-    recorded frames;
-    `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
-    `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
-    Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
-    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
-    """
+    scene: Scene
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        device: str | None = None,
-        precision: str | None = None,
-        threads: int | None = None,
-        recorders: Sequence[Recorder] = (),
-        frame_interval: float = 0.04,
-        progress: Progress | bool = False,
-        checkpoint_path: Path | None = None,
-        checkpoint_every: float = 60.0,
-    ) -> None:
-        super().__init__(
-            recorders=recorders, frame_interval=frame_interval, progress=progress, checkpoint_path=checkpoint_path,
-            checkpoint_every=checkpoint_every,
-        )  # fmt: skip
-        if not isinstance(scene, Scene):
-            refuse("scene", type(scene).__name__, "is no scene of discrete elements", "flows take a FluidSimulation")
-        self.scene = scene
-        self.device = find_device(device)
-        self.precision = precision or scene.precision
-        self.threads = default_threads() if threads is None else threads
-        cores = os.cpu_count() or 1
-        if not 1 <= self.threads <= cores:
-            refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
-        self.model = build_model(scene, self.device, self.precision)
+    def _set_up(self) -> None:
+        if not isinstance(self.scene, Scene):
+            kind = type(self.scene).__name__
+            refuse("scene", kind, "is no scene of discrete elements", "flows take a FluidSimulation")
+        self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
 
     @property

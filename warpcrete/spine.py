@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time as wall_clock
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +14,12 @@ from typing import Any
 import numpy as np
 
 from . import checkpoint
-from .errors import between, positive
+from .errors import between, one_of, positive, refuse
+from .launching import default_threads
+from .model import find_device
 from .packing import PackingReport
 from .progress import ProgressBar
+from .scene import PRECISIONS
 from .state import BodyTable
 
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -76,24 +81,44 @@ class Run:
     """Bodies at the end."""
 
 
-class Spine:
-    """A run from t = 0 to its end. Subclasses bring the method: they make `stepper`, `_sample`, `_result`, `save`."""
+class Spine(ABC):
+    """A scene on a device, with recorders, from t = 0 to its end; subclasses bring the method.
 
-    scene: Any
+    Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
+    `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
+    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames;
+    `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
+    `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
+    Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
+    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
+    """
+
     stepper: Any
     """Has `time` [s], `steps`, and `advancing(until)`, a course."""
 
     def __init__(
         self,
+        scene: Any,
         *,
-        recorders: Sequence[Recorder],
-        frame_interval: float,
-        progress: Progress | bool,
-        checkpoint_path: Path | None,
-        checkpoint_every: float,
+        device: str | None = None,
+        precision: str | None = None,
+        threads: int | None = None,
+        recorders: Sequence[Recorder] = (),
+        frame_interval: float = 0.04,
+        progress: Progress | bool = False,
+        checkpoint_path: Path | None = None,
+        checkpoint_every: float = 60.0,
     ) -> None:
         positive("frame_interval", frame_interval, "s")
         between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
+        self.scene = scene
+        self.device = find_device(device)
+        self.precision = precision or scene.precision
+        one_of("precision", self.precision, PRECISIONS)
+        self.threads = default_threads() if threads is None else threads
+        cores = os.cpu_count() or 1
+        if not 1 <= self.threads <= cores:
+            refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
         self.recorders = list(recorders)
         self.frame_interval = frame_interval
         self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
@@ -108,26 +133,33 @@ class Spine:
         self._samples = 0  # rows after the one at t = 0
         self._next_frame = frame_interval
         self._resumed: dict[str, Any] | None = None
+        self._set_up()
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """What the method makes of the scene at once; refuses a scene that it does not know."""
 
     @property
+    @abstractmethod
     def rows(self) -> list[dict[str, float]]:
         """Rows of the series so far."""
-        raise NotImplementedError
 
     @property
     def duration(self) -> float:
         """Simulated time of the whole run, at most [s]."""
         return self.scene.duration
 
+    @abstractmethod
     def save(self, path: Path) -> None:
         """Write a checkpoint of the state as it is now, recorders included."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _sample(self) -> dict[str, float]:
-        raise NotImplementedError
+        """Measure, tell the recorders, and return the row."""
 
+    @abstractmethod
     def _result(self, finished: bool) -> Run:
-        raise NotImplementedError
+        """The run as it is now, with its figures."""
 
     def _enough(self) -> bool:
         """The run may end before its duration."""
@@ -235,6 +267,15 @@ class Spine:
 
     def _tell(self, phase: str, share: float, **figures: Any) -> None:
         self._progress(phase, share, figures)
+
+
+def to_end(course: Course) -> Any:
+    """Go through a course that waits for nobody else; what it returns."""
+    while True:
+        try:
+            next(course)
+        except StopIteration as end:
+            return end.value
 
 
 def _kind(recorder: Recorder) -> str:

@@ -23,15 +23,16 @@ from typing import Any
 
 import numpy as np
 
-from .batch import default_threads
 from .errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, positive, refuse
 from .fluid import FluidScene
 from .fluid_simulation import FluidSimulation
+from .launching import default_threads
 from .model import find_device
 from .provenance import provenance, write_json
 from .recorders import recorder_types
 from .run_folder import TableRecorder, check_new, read_json
-from .simulation import Recorder, Run, Simulation
+from .simulation import Simulation
+from .spine import Recorder, Run
 from .together import run_together
 
 FIGURES = {"peak_pressure": "Pa", "plateau_pressure": "Pa"}

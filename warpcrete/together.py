@@ -11,7 +11,8 @@ from .batch import batch_key
 from .errors import WarpcreteError
 from .memory import SHARE, memory_free, memory_needed
 from .packing import Request, pack_many
-from .simulation import Run, Simulation
+from .simulation import Simulation
+from .spine import Run
 from .state import BodyTable, placed_bodies
 from .stepper import Course, drive, steppers_of
 

@@ -12,8 +12,9 @@ from ..clumps import reference
 from ..laws import Contact
 from ..packing import Fill, PipeContainer
 from ..scene import Bodies, Bonds, Driven, PipeWall, PlaneWall, Prescribed, Scene, Settle, TimeStep
-from ..simulation import Recorder, Simulation
+from ..simulation import Simulation
 from ..sizes import Gaussian, Uniform
+from ..spine import Recorder
 from . import Case, Row, start
 
 UP = (0.0, 0.0, 1.0)
