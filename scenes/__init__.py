@@ -1,7 +1,27 @@
-"""Scenes: one file each, with `scene(**parameters) -> Scene` and `check(run)`, its own acceptance."""
+"""Scenes: one file each, with `scene(**parameters)`, which makes one, and `check(run)`, its own acceptance.
 
-from .channel import scene as channel
-from .pipe import scene as pipe
-from .tube import scene as tube
+Every file of this folder is a scene: `modules` finds it, and its function stands here under the file's name.
+"""
 
-__all__ = ["channel", "pipe", "tube"]
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .channel import scene as channel
+    from .pipe import scene as pipe
+    from .tube import scene as tube
+
+__all__ = ["channel", "modules", "pipe", "tube"]
+
+
+def modules() -> dict[str, ModuleType]:
+    """Every scene's module, by its name."""
+    names = sorted(info.name for info in pkgutil.iter_modules(__path__))
+    return {name: importlib.import_module(f"{__name__}.{name}") for name in names}
+
+
+globals().update({name: module.scene for name, module in modules().items()})

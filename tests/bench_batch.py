@@ -14,9 +14,9 @@ import numpy as np
 import warp as wp
 
 from warpcrete import scenes
-from warpcrete.simulation import Simulation
-from warpcrete.spine import Run
-from warpcrete.together import run_together
+from warpcrete.dem.simulation import Simulation
+from warpcrete.core.run_loop import Run
+from warpcrete.dem.batch_run import run_together
 
 # Zhan et al. 2019, section 5.2: each parameter alone, on unit D unless its own is named.
 STUDY = {
@@ -74,7 +74,7 @@ def main() -> None:
     first = None
     for size in arguments.sizes:
         simulations = prepared(size, arguments.device)
-        from warpcrete.stepper import drive
+        from warpcrete.dem.stepper import drive
 
         took = []
         for _ in range(arguments.repeats):

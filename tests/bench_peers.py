@@ -27,16 +27,18 @@ import numpy as np
 import peers
 import warp as wp
 
-from warpcrete import clumps
-from warpcrete.kernels.contact_law import contact_functions
-from warpcrete.kernels.types import types
-from warpcrete.launching import default_threads
-from warpcrete.laws import Contact, ContactLaw
-from warpcrete.model import build_model, find_device
-from warpcrete.probes import body_sums, contact_sums
-from warpcrete.scene import Bodies, Bonds, PlaneWall, Scene, TimeStep, Watch
-from warpcrete.state import State, placed_bodies
-from warpcrete.stepper import Stepper
+from warpcrete.dem import clumps
+from warpcrete.kernels.dem.contact_law import contact_functions
+from warpcrete.kernels.common.types import types
+from warpcrete.core.device import default_threads
+from warpcrete.dem.laws import Contact, ContactLaw
+from warpcrete.core.device import find_device
+from warpcrete.dem.model import build_model
+from warpcrete.dem.probes import body_sums, contact_sums
+from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
+from warpcrete.geometry.walls import PlaneWall
+from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.stepper import Stepper
 
 DIAMETER, DENSITY, MODULUS, FRICTION, DAMPING = 0.01, 2500.0, 1e6, 0.05, 0.5
 STEP = 2e-5

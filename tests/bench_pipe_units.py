@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import scenes
-from warpcrete.simulation import Simulation
-from warpcrete.spine import Run
+from warpcrete.dem.simulation import Simulation
+from warpcrete.core.run_loop import Run
 
 PAPER = {unit: scenes.pipe(unit=unit).notes["paper"] for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")}
 LETTER = dict(zip(PAPER, "ABCD"))

@@ -7,9 +7,10 @@ import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from warpcrete.model import build_model, find_device, quiet_init
-from warpcrete.state import State, placed_bodies
-from warpcrete.stepper import Stepper
+from warpcrete.core.device import find_device, quiet_init
+from warpcrete.dem.model import build_model
+from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.stepper import Stepper
 
 
 def devices() -> list[str]:

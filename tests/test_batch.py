@@ -7,15 +7,17 @@ import pytest
 from test_checkpoint import mixed_scene
 
 from warpcrete import scenes
-from warpcrete.errors import CapacityError, InstabilityError
-from warpcrete.memory import bytes_per_body, check_memory, memory_needed
-from warpcrete.model import build_model, find_device
-from warpcrete.provenance import state_hash
-from warpcrete.scene import Bodies, PlaneWall, Scene, Watch
-from warpcrete.simulation import Simulation
-from warpcrete.spine import Recorder, Run
-from warpcrete.state import State, placed_bodies
-from warpcrete.together import run_together
+from warpcrete.core.errors import CapacityError, InstabilityError
+from warpcrete.dem.memory import bytes_per_body, check_memory, memory_needed
+from warpcrete.core.device import find_device
+from warpcrete.dem.model import build_model
+from warpcrete.dem.restoring import state_hash
+from warpcrete.dem.scene import Bodies, Scene, Watch
+from warpcrete.geometry.walls import PlaneWall
+from warpcrete.dem.simulation import Simulation
+from warpcrete.core.run_loop import Recorder, Run
+from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.batch_run import run_together
 
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
@@ -114,7 +116,7 @@ def test_memory_is_estimated_and_too_many_bodies_are_refused(device, monkeypatch
     assert memory_needed(model, table) == pytest.approx(64 * (body + sphere))
     double = build_model(scene, find_device(device), "float64")
     assert 1.4 < memory_needed(double, table) / memory_needed(model, table) < 2.0
-    monkeypatch.setattr("warpcrete.memory.memory_free", lambda device: 20e3)
+    monkeypatch.setattr("warpcrete.dem.memory.memory_free", lambda device: 20e3)
     with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ of them would fit"):
         check_memory(model, table)
 

@@ -7,8 +7,8 @@ import pytest
 from conftest import by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
 
-from warpcrete.probes import contact_sums
-from warpcrete.scene import Bonds, Contact
+from warpcrete.dem.probes import contact_sums
+from warpcrete.dem.scene import Bonds, Contact
 
 AREA, INERTIA = math.pi * RADIUS**2, math.pi * RADIUS**4 / 4
 SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
@@ -150,7 +150,7 @@ def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
 
 def test_hydration_takes_the_share_asked_for(start):
     rng = np.random.default_rng(0)
-    from warpcrete.scene import Bodies, Hydration, Scene
+    from warpcrete.dem.scene import Bodies, Hydration, Scene
 
     grid = np.stack(np.meshgrid(*[np.arange(12)] * 3), -1).reshape(-1, 3) * 0.0199 + rng.normal(0, 1e-5, (1728, 3))
     bonds = Bonds()

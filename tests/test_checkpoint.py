@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 from test_pipe import SMALL, command, small_options
 
-from warpcrete import clumps, scenes
-from warpcrete.axis import Axis, Line
-from warpcrete.errors import RunFolderError
-from warpcrete.laws import Contact
-from warpcrete.provenance import fingerprint, state_hash
-from warpcrete.record_rerun import RerunRecorder
-from warpcrete.record_usd import UsdRecorder
-from warpcrete.run_folder import TableRecorder
-from warpcrete.scene import Bodies, Bonds, Driven, Hydration, MeshWall, PlaneWall, Prescribed, Scene, TimeStep
-from warpcrete.simulation import Simulation
-from warpcrete.spine import Recorder
+from warpcrete import scenes
+from warpcrete.dem import clumps
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.core.errors import RunFolderError
+from warpcrete.dem.laws import Contact
+from warpcrete.core.provenance import fingerprint
+from warpcrete.dem.restoring import state_hash
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
+from warpcrete.record.run_folder import TableRecorder
+from warpcrete.dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from warpcrete.geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
+from warpcrete.dem.simulation import Simulation
+from warpcrete.core.run_loop import Recorder
 
 KILLS = 3
 

@@ -7,14 +7,14 @@ import pytest
 import trimesh
 from conftest import by_id
 
-from warpcrete import clumps
-from warpcrete.axis import Arc, Axis, Line
-from warpcrete.errors import SceneError
-from warpcrete.packing import Fill, MeshContainer, PipeContainer, pack
-from warpcrete.probes import body_sums
-from warpcrete.scene import Bodies, Scene, TimeStep
-from warpcrete.sizes import Gaussian, SieveCurve, Uniform
-from warpcrete.state import rotate
+from warpcrete.dem import clumps
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.core.errors import SceneError
+from warpcrete.dem.packing import Fill, MeshContainer, PipeContainer, pack
+from warpcrete.dem.probes import body_sums
+from warpcrete.dem.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.geometry.rotation import rotate
 
 
 def test_union_properties_of_two_overlapping_spheres():

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from conftest import by_id, pair_history
 
-from warpcrete.axis import Axis, Line
-from warpcrete.model import build_model, find_device
-from warpcrete.packing import Fill, PipeContainer, pack
-from warpcrete.scene import Bodies, Bonds, Contact, PlaneWall, Scene, TimeStep
-from warpcrete.state import State
-from warpcrete.stepper import Stepper
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.core.device import find_device
+from warpcrete.dem.model import build_model
+from warpcrete.dem.packing import Fill, PipeContainer, pack
+from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
+from warpcrete.geometry.walls import PlaneWall
+from warpcrete.dem.state import State
+from warpcrete.dem.stepper import Stepper
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
@@ -190,7 +192,7 @@ def test_shear_history_turns_with_the_pair(start, axis):
         )
     )
     stepper.bond(bonds, 1)
-    from warpcrete.probes import body_sums, contact_sums
+    from warpcrete.dem.probes import body_sums, contact_sums
 
     def energy():
         sums = contact_sums(stepper.model, stepper.state)

@@ -8,23 +8,14 @@ import pytest
 from conftest import by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
-from warpcrete import SceneError, WarpcreteError, clumps, scenes
-from warpcrete.axis import Axis, Line
-from warpcrete.packing import Fill, PipeContainer, pack
-from warpcrete.scene import (
-    AxisDrive,
-    Bodies,
-    Contact,
-    Driven,
-    MeshWall,
-    PipeWall,
-    PlaneWall,
-    Prescribed,
-    Scene,
-    TimeStep,
-)
-from warpcrete.simulation import Simulation
-from warpcrete.sizes import Gaussian
+from warpcrete import SceneError, WarpcreteError, scenes
+from warpcrete.dem import clumps
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.dem.packing import Fill, PipeContainer, pack
+from warpcrete.dem.scene import AxisDrive, Bodies, Contact, Scene, TimeStep
+from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
+from warpcrete.dem.simulation import Simulation
+from warpcrete.dem.sizes import Gaussian
 
 AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(1.0),))
 

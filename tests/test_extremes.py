@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warpcrete.errors import InstabilityError
-from warpcrete.laws import Contact
-from warpcrete.scene import Bodies, Scene, TimeStep, Watch
-from warpcrete.simulation import Simulation
+from warpcrete.core.errors import InstabilityError
+from warpcrete.dem.laws import Contact
+from warpcrete.dem.scene import Bodies, Scene, TimeStep, Watch
+from warpcrete.dem.simulation import Simulation
 from warpcrete.verification import extremes
 
 CASES = list(extremes.scenes())
@@ -85,7 +85,7 @@ def test_the_watch_can_be_told_to_let_it_be(device):
 
 
 def test_a_fixed_step_above_the_estimate_needs_a_word(device):
-    from warpcrete.errors import SceneError
+    from warpcrete.core.errors import SceneError
 
     pair = Bodies(positions=[[0.0, 0, 0], [0.0099, 0, 0]], sizes=0.01)
     scene = Scene(name="pair", duration=1e-3, bodies=(pair,), contact=Contact(friction=0))

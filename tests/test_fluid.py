@@ -9,15 +9,15 @@ from test_theory import FLOW
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
-from warpcrete.fluid import check_flow, mortar_of
-from warpcrete.fluid_simulation import FluidSimulation
-from warpcrete.fluid_state import FluidState, layout
-from warpcrete.launching import default_threads
-from warpcrete.model import find_device
-from warpcrete.mps import MovingParticles
-from warpcrete.spine import Recorder
-from warpcrete.theory import CONCRETES
+from warpcrete.core.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
+from warpcrete.mps.scene import check_flow, mortar_of
+from warpcrete.mps.simulation import FluidSimulation
+from warpcrete.mps.state import FluidState, layout
+from warpcrete.core.device import default_threads
+from warpcrete.core.device import find_device
+from warpcrete.mps.particles import MovingParticles
+from warpcrete.core.run_loop import Recorder
+from warpcrete.mps.theory import CONCRETES
 
 SCENES = {2: scenes.channel, 3: scenes.tube}
 
@@ -626,7 +626,7 @@ def test_errors_of_solves_travel_between_processes():
 
 
 def test_what_does_not_fit_is_refused_before_it_is_allotted(monkeypatch):
-    from warpcrete import mps
+    from warpcrete.mps import particles as mps
 
     monkeypatch.setattr(mps, "memory_free", lambda device: 1e5)
     with pytest.raises(CapacityError, match=r"particles = 1200: need about .* GiB"):
@@ -634,7 +634,7 @@ def test_what_does_not_fit_is_refused_before_it_is_allotted(monkeypatch):
 
 
 def test_a_solve_that_does_not_converge_says_how_it_went(device, tmp_path):
-    from warpcrete.run_folder import TableRecorder, read_json
+    from warpcrete.record.run_folder import TableRecorder, read_json
 
     simulation = FluidSimulation(
         scenes.channel(spacing=5e-3, most_iterations=4), device=device, recorders=[TableRecorder(tmp_path / "r")]

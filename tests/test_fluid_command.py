@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from warpcrete.cli import cli
+from warpcrete.cli.main import cli
 
 COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
 

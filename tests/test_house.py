@@ -104,7 +104,7 @@ def test_a_second_step_compiles_nothing(device):
     import warp as wp
 
     from warpcrete import scenes
-    from warpcrete.simulation import Simulation
+    from warpcrete.dem.simulation import Simulation
 
     small = dict(diameter=0.06, length=0.05, travel=0.01, size_min=8e-3, size_max=12e-3, settle=0.1)
     first = Simulation(scenes.pipe(**small), device=device)
@@ -143,7 +143,7 @@ def test_unstable_fixed_step_is_refused_and_a_stable_one_is_not(start):
     import math
 
     from warpcrete import SceneError
-    from warpcrete.scene import Bodies, Contact, Scene, TimeStep
+    from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
 
     # Two touching spheres: k_n and the normal dashpot. That either may yet touch a wall, where k_s = k_n/2 moves and
     # turns it (3.5 k_s), asks for less, since the estimate has a factor of 2 in hand for stiffness.

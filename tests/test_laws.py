@@ -11,12 +11,13 @@ import warp as wp
 from conftest import by_id
 from test_contacts import DENSITY, K_PAIR, MASS, NO_GRAVITY, RADIUS, two_spheres
 
-from warpcrete.errors import SceneError
-from warpcrete.kernels.contact_law import contact_functions
-from warpcrete.kernels.types import types
-from warpcrete.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer, damping_ratio
-from warpcrete.probes import body_sums, contact_sums
-from warpcrete.scene import Bodies, PlaneWall, Prescribed, Scene, TimeStep
+from warpcrete.core.errors import SceneError
+from warpcrete.kernels.dem.contact_law import contact_functions
+from warpcrete.kernels.common.types import types
+from warpcrete.dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer, damping_ratio
+from warpcrete.dem.probes import body_sums, contact_sums
+from warpcrete.dem.scene import Bodies, Scene, TimeStep
+from warpcrete.geometry.walls import PlaneWall, Prescribed
 
 
 @functools.cache

@@ -16,8 +16,8 @@ import trimesh
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.axis import Arc, Axis, Line
-from warpcrete.simulation import Simulation
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.dem.simulation import Simulation
 
 # A thin, short pipe that runs in seconds.
 SMALL = dict(
@@ -258,7 +258,7 @@ BAD = [
 @pytest.mark.parametrize(("options", "words"), BAD, ids=[" ".join(b[0]) for b in BAD])
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, capfd):
     # In this process, to spare twenty interpreter starts.
-    from warpcrete.cli import main
+    from warpcrete.cli.main import main
 
     folder = tmp_path / "run"
     here = os.getcwd()

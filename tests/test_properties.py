@@ -9,12 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warpcrete import scenes
-from warpcrete.errors import InstabilityError, SceneError, WarpcreteError
-from warpcrete.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
-from warpcrete.probes import body_sums, contact_sums
-from warpcrete.provenance import state_hash
-from warpcrete.scene import Bodies, Bonds, Driven, PipeWall, PlaneWall, Prescribed, Scene, TimeStep, Watch
-from warpcrete.simulation import Simulation
+from warpcrete.core.errors import InstabilityError, SceneError, WarpcreteError
+from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
+from warpcrete.dem.probes import body_sums, contact_sums
+from warpcrete.dem.restoring import state_hash
+from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
+from warpcrete.geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
+from warpcrete.dem.simulation import Simulation
 
 ANYTHING = st.one_of(
     st.floats(), st.integers(-10, 10**6), st.none(), st.text(max_size=4), st.booleans(), st.just(float("inf")),
@@ -101,7 +102,7 @@ def small_scenes(draw):
         motion = Driven(direction=(0, 0, -1), force=draw(st.floats(-1, 50)), mass=draw(st.floats(1e-3, 10)))
         walls.append(PlaneWall(name="lid", point=(0, 0, 7 * size), normal=(0, 0, -1), motion=motion))
     if draw(st.booleans()):
-        from warpcrete.axis import Axis, Line
+        from warpcrete.geometry.axis import Axis, Line
 
         walls.append(PipeWall(name="pipe", axis=Axis((0, 0, -1), (0, 0, 1), (Line(3.0),)), radius=4.5 * size))
     bonds = Bonds(gap=0.2 * size, healing=draw(st.booleans()), tensile_strength=1e3, cohesion=1e3)

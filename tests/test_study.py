@@ -10,8 +10,8 @@ from test_batch import SMALL
 from test_pipe import command
 
 from warpcrete import scenes
-from warpcrete.errors import RunFolderError, SceneError
-from warpcrete.study import cases_of, resume_study, run_study
+from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
 BASE = SMALL | dict(travel=0.012, ramp=0.008, settle=0.0)
@@ -42,7 +42,7 @@ def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
     assert rows[0]["plateau_pressure"] == pytest.approx(np.mean(seeds))
     assert rows[0]["plateau_pressure_scatter"] == pytest.approx(np.std(seeds, ddof=1))
     # A case holds the bits of the same scene run alone.
-    from warpcrete.simulation import Simulation
+    from warpcrete.dem.simulation import Simulation
 
     case = study.cases[2]
     single = Simulation(scenes.pipe(**case.parameters), device=device, threads=1).run()

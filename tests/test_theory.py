@@ -6,20 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from warpcrete.cli import cli
-from warpcrete.errors import SceneError
-from warpcrete.theory import (
-    CONCRETES,
-    FORMS,
-    Concrete,
-    Line,
-    flow_of_pressure,
-    kaplan,
-    slip_constants,
-    steady,
-    steady_of_stress,
-    velocity,
-)
+from warpcrete.cli.main import cli
+from warpcrete.core.errors import SceneError
+from warpcrete.mps.theory import CONCRETES, FORMS, Concrete, Line, flow_of_pressure, kaplan, slip_constants, steady, steady_of_stress, velocity
 
 LINE = Line()
 FLOW = 1500e-6

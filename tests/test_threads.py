@@ -8,14 +8,15 @@ from conftest import by_id, pair_history
 from test_contacts import flowing_scene, small_packing
 
 from warpcrete import scenes
-from warpcrete.clumps import ClumpTemplate
-from warpcrete.errors import SceneError
-from warpcrete.model import build_model, find_device
-from warpcrete.probes import body_sums, contact_sums
-from warpcrete.scene import Bodies, Bonds, Scene, TimeStep
-from warpcrete.simulation import Simulation
-from warpcrete.state import State, placed_bodies
-from warpcrete.stepper import Stepper
+from warpcrete.dem.clumps import ClumpTemplate
+from warpcrete.core.errors import SceneError
+from warpcrete.core.device import find_device
+from warpcrete.dem.model import build_model
+from warpcrete.dem.probes import body_sums, contact_sums
+from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep
+from warpcrete.dem.simulation import Simulation
+from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.stepper import Stepper
 
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warpcrete import scenes
-from warpcrete.simulation import Simulation
-from warpcrete.spine import Run
+from warpcrete.dem.simulation import Simulation
+from warpcrete.core.run_loop import Run
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 from conftest import by_id
 
-from warpcrete.axis import Arc, Axis, Line
-from warpcrete.scene import Bodies, Contact, Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Scene, TimeStep
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
@@ -292,7 +293,7 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start):
 
 
 def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
-    from warpcrete.probes import body_sums, contact_sums
+    from warpcrete.dem.probes import body_sums, contact_sums
 
     wall = PlaneWall(
         name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .errors import (
+from .core.errors import (
     CapacityError,
     ConvergenceError,
     DeviceError,
@@ -20,16 +20,16 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
-    from .fluid_simulation import FluidSimulation
-    from .scene import Scene
-    from .simulation import Simulation
-    from .spine import Run
+    from . import scenes
+    from .dem.scene import Scene
+    from .methods import Run, Simulation
+    from .mps.scene import FluidScene
 
 __all__ = [
     "CapacityError",
     "ConvergenceError",
     "DeviceError",
-    "FluidSimulation",
+    "FluidScene",
     "InstabilityError",
     "Run",
     "RunFolderError",
@@ -37,12 +37,10 @@ __all__ = [
     "SceneError",
     "Simulation",
     "WarpcreteError",
-    "scenes",  # pyright: ignore[reportUnsupportedDunderAll]
+    "scenes",
 ]
 
-_LAZY = {
-    "Simulation": "simulation", "Run": "spine", "Scene": "scene", "FluidSimulation": "fluid_simulation",
-}  # fmt: skip
+_LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
 
 
 def __getattr__(name: str) -> Any:
@@ -51,4 +49,10 @@ def __getattr__(name: str) -> Any:
         return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
     if name == "scenes":
         return importlib.import_module(".scenes", __name__)
+    if name == "FluidSimulation":  # its name before Simulation took every scene
+        return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..axis import Axis, Line
-from ..clumps import reference
-from ..laws import Contact
-from ..packing import Fill, PipeContainer
-from ..scene import Bodies, Bonds, Driven, PipeWall, PlaneWall, Prescribed, Scene, Settle, TimeStep
-from ..simulation import Simulation
-from ..sizes import Gaussian, Uniform
-from ..spine import Recorder
-from . import Case, Row, start
+from ..geometry.axis import Axis, Line
+from ..dem.clumps import reference
+from ..dem.laws import Contact
+from ..dem.packing import Fill, PipeContainer
+from ..dem.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
+from ..dem.simulation import Simulation
+from ..dem.sizes import Gaussian, Uniform
+from ..core.run_loop import Recorder
+from ..verification import Case, Row, start
 
 UP = (0.0, 0.0, 1.0)
 

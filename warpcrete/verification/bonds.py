@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ..axis import Axis, Line
-from ..laws import Contact
-from ..scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
-from . import Case, Row, start
+from ..geometry.axis import Axis, Line
+from ..dem.laws import Contact
+from ..dem.scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
+from ..verification import Case, Row, start
 
 RADIUS, DENSITY, GAP = 0.01, 2500.0, 1e-6
 LENGTH = 2 * RADIUS

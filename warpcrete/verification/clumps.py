@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from ..clumps import clump, reference
-from ..scene import Bodies, Scene, TimeStep
-from . import Case, Row, start
+from ..dem.clumps import clump, reference
+from ..dem.scene import Bodies, Scene, TimeStep
+from ..verification import Case, Row, start
 
 
 def union_properties(device, precision) -> list[Row]:

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..clumps import clump
-from ..laws import Contact
-from ..scene import Bodies, Bonds, Driven, MeshWall, PlaneWall, Prescribed, Scene, TimeStep
-from . import Case, Row, start
+from ..dem.clumps import clump
+from ..dem.laws import Contact
+from ..dem.scene import Bodies, Bonds, Scene, TimeStep
+from ..geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
+from ..verification import Case, Row, start
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3

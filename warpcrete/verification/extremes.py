@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..axis import Axis, Line
-from ..errors import InstabilityError
-from ..laws import Contact, damping_ratio
-from ..scene import Bodies, Bonds, Driven, Hydration, PipeWall, PlaneWall, Prescribed, Scene, TimeStep
-from ..series import free_energy
-from ..simulation import Simulation
+from ..geometry.axis import Axis, Line
+from ..core.errors import InstabilityError
+from ..dem.laws import Contact, damping_ratio
+from ..dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
+from ..dem.series import free_energy
+from ..dem.simulation import Simulation
 
 STEPS = 2000
 ENERGY = 0.1  # of the energy in play that may appear in a run that counts as stable

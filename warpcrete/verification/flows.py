@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ..fluid import Column, driven_column
-from ..fluid_simulation import FluidSimulation
-from ..theory import CONCRETES
-from . import Case, Row
+from ..mps.scene import Column, driven_column
+from ..mps.simulation import FluidSimulation
+from ..mps.theory import CONCRETES
+from ..verification import Case, Row
 
 # Measured errors at 5 mm in the channel: pressure 0.0 to 0.1 %, slip velocity 0.03 to 0.1 %, profile 0.1 %; at 10 mm in
 # the tube 0.2, 0.3 and 0.3 %.

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..laws import Contact, HertzMindlin, damping_ratio
-from ..scene import Bodies, PlaneWall, Scene, TimeStep
-from . import Case, Row, start
+from ..dem.laws import Contact, HertzMindlin, damping_ratio
+from ..dem.scene import Bodies, Scene, TimeStep
+from ..geometry.walls import PlaneWall
+from ..verification import Case, Row, start
 
 NO_GRAVITY = (0.0, 0.0, 0.0)
 SOURCE = "Chung & Ooi 2011"

@@ -7,18 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..axis import Axis, Line
-from ..clumps import ClumpTemplate, reference, sphere
-from ..errors import InstabilityError
-from ..laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
-from ..model import build_model, find_device
-from ..packing import Fill, PipeContainer, pack
-from ..probes import body_sums, contact_sums
-from ..scene import Bodies, Bonds, Scene, TimeStep
-from ..sizes import Uniform
-from ..state import BodyTable, State, placed_bodies
-from ..stepper import Stepper
-from . import Case, Row
+from ..geometry.axis import Axis, Line
+from ..dem.clumps import ClumpTemplate, reference, sphere
+from ..core.errors import InstabilityError
+from ..dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
+from ..core.device import find_device
+from ..dem.model import build_model
+from ..dem.packing import Fill, PipeContainer, pack
+from ..dem.probes import body_sums, contact_sums
+from ..dem.scene import Bodies, Bonds, Scene, TimeStep
+from ..dem.sizes import Uniform
+from ..dem.state import BodyTable, State, placed_bodies
+from ..dem.stepper import Stepper
+from ..verification import Case, Row
 
 STEPS = 3000
 CHUNK = 30

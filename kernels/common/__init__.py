@@ -1,0 +1,1 @@
+"""Warp kernels that every method uses."""

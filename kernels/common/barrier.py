@@ -1,0 +1,69 @@
+"""A barrier for threads that replay their own chunks of a step on the CPU.
+
+Warp runs a CPU kernel on the thread that launches it, and lets Python's other threads run meanwhile. Each thread
+replays a graph of its own; at the barriers, which are kernels too, all wait for the last.
+
+A thread spins for some microseconds, which is all it takes while every thread has a core to itself, and then sleeps
+(a futex, on Linux): a thread that another process keeps from its core may then take the core of one that waits.
+"""
+
+import warp as wp
+
+GATE = 3
+"""Numbers that a barrier keeps: threads that are here, rounds completed, threads asleep."""
+SPINS = 2000
+"""Looks at the round before a thread goes to sleep, some 30 microseconds."""
+
+MEET = """
+    int* here = &gate.data[0];
+    int* rounds = &gate.data[1];
+    int* asleep = &gate.data[2];
+#if defined(__linux__) && (defined(__x86_64__) || defined(__aarch64__))
+#define WARPCRETE_FUTEX
+    // By its symbol: functions declared here would count as members of Warp's namespace.
+    extern long warpcrete_syscall(long, ...) __asm__("syscall");
+#if defined(__x86_64__)
+    const long number = 202;
+#else
+    const long number = 98;
+#endif
+    const auto futex = [](int* word, int operation, int value) {
+        warpcrete_syscall(number, word, operation, value, (void*)0, (void*)0, 0);
+    };
+#endif
+    const int round = __atomic_load_n(rounds, __ATOMIC_ACQUIRE);
+    if (__atomic_add_fetch(here, 1, __ATOMIC_ACQ_REL) == parties) {
+        __atomic_store_n(here, 0, __ATOMIC_RELAXED);
+        __atomic_store_n(rounds, round + 1, __ATOMIC_SEQ_CST);
+#if defined(WARPCRETE_FUTEX)
+        if (__atomic_load_n(asleep, __ATOMIC_SEQ_CST) > 0)
+            futex(rounds, 129, 0x7fffffff);  // FUTEX_WAKE_PRIVATE, all of them
+#endif
+    } else {
+        int spins = 0;
+        while (__atomic_load_n(rounds, __ATOMIC_ACQUIRE) == round) {
+#if defined(__x86_64__)
+            __builtin_ia32_pause();
+#endif
+#if defined(WARPCRETE_FUTEX)
+            if (++spins >= SPINS) {
+                // Who opens the gate either sees this thread asleep, or this thread sees the round gone on.
+                __atomic_add_fetch(asleep, 1, __ATOMIC_SEQ_CST);
+                while (__atomic_load_n(rounds, __ATOMIC_SEQ_CST) == round)
+                    futex(rounds, 128, round);  // FUTEX_WAIT_PRIVATE
+                __atomic_sub_fetch(asleep, 1, __ATOMIC_SEQ_CST);
+            }
+#endif
+        }
+    }
+""".replace("SPINS", str(SPINS))
+
+
+@wp.func_native(MEET)
+def meet(gate: wp.array(dtype=wp.int32), parties: wp.int32): ...
+
+
+@wp.kernel(enable_backward=False)
+def barrier(gate: wp.array(dtype=wp.int32), parties: wp.int32):
+    """One thread: wait until `parties` threads are here."""
+    meet(gate, parties)

@@ -1,0 +1,12 @@
+"""Slots of the integer control array `flags`, one row a scene, which the kernels of every method share."""
+
+import warp as wp
+
+HALTED = wp.constant(0)  # every kernel passes the scene by: its lists are stale, its goal is reached, or it failed
+STALE = wp.constant(1)  # the neighbour lists no longer cover every pair that may matter
+FAILED = wp.constant(2)  # the state left the range in which it means anything; what exactly is the method's to say
+STEPS = wp.constant(3)  # completed steps
+GOAL = wp.constant(4)  # step count at which the scene halts
+OVERFLOW = wp.constant(5)  # a list of fixed size was too short
+LATE = wp.constant(6)  # set within a step; becomes STALE when the step is complete
+FLAGS = 8

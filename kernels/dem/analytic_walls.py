@@ -1,0 +1,204 @@
+"""Contact of spheres with planes and pipe surfaces; how forces on all walls are summed.
+
+Forces on walls are summed in fixed point (int64, `clock[FORCE_SCALE]` units per newton): the same bits in any
+order. Contact slots of a sphere: one for each plane or pipe; those for meshes follow.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED
+from ..common.rows import row_functions
+from ..common.types import SPAN, types, vector_functions
+from ..common.walls import FIXED, wall_functions
+from .contact_law import contact_functions
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
+
+FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
+WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
+
+
+@functools.cache
+def wall_force_function(scalar):
+    """`add_to_wall`: force and moment, in fixed point, on wall `w` of the whole batch."""
+    t = types(scalar)
+
+    @wp.func
+    def add_to_wall(
+        step_force: wp.array3d(dtype=wp.int64), part: wp.int32, w: wp.int32, f: t.vec3, m: t.vec3, scale: wp.float64
+    ):
+        for c in range(3):
+            wp.atomic_add(step_force, part, w, c, wp.int64(wp.round(wp.float64(f[c]) * scale)))
+            wp.atomic_add(step_force, part, w, c + 3, wp.int64(wp.round(wp.float64(m[c]) * scale)))
+
+    return add_to_wall
+
+
+@functools.cache
+def surface_touch_function(scalar):
+    """`surface_touch`: the touch of a sphere with a wall `gap` away along `n`, and the point where it is."""
+    t = types(scalar)
+    Walls = array_structs(scalar).Walls
+    wall_touch = contact_functions(scalar).wall_touch
+    xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def surface_touch(
+        walls: Walls,
+        w: wp.int32,
+        n: t.vec3,
+        gap: scalar,
+        x: t.vec3,
+        radius: scalar,
+        velocity: t.vec4,
+        spin: t.vec3,
+        dt: scalar,
+    ):
+        arm = radius + gap
+        point = x + arm * n
+        surface = walls.velocity[w] + wp.cross(walls.spin[w], point - walls.position[w])
+        relative = surface - xyz(velocity) - wp.cross(spin, arm * n)
+        twist = scalar(0.5) * dt * wp.dot(spin + walls.spin[w], n)
+        return wall_touch(n, gap, relative, twist, radius, velocity[3]), point
+
+    return surface_touch
+
+
+@functools.cache
+def analytic_wall_functions(scalar, law, losses: bool):
+    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes.
+
+    Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
+    far the nearest was; `far_from_walls` tells by this whether it must look again.
+    """
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
+    structs = array_structs(scalar)
+    Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
+    shape = wall_functions(scalar)
+    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
+    functions = law.functions(scalar)
+    Parameters, contact_force, contact_energy = functions.Parameters, functions.force, functions.energy
+    wall_touch = contact_functions(scalar).wall_touch
+    surface_touch = surface_touch_function(scalar)
+    xyz = vector_functions(scalar).xyz
+    pack = vector_functions(scalar).pack
+    write_vec4 = row_functions(scalar).write_vec4
+    add_to_wall = wall_force_function(scalar)
+
+    @wp.func
+    def far_from_walls(position: t.vec4, clear: t.vec4):
+        """Is a sphere beyond the reach of every fixed wall, by where it was when it last came to look at them?"""
+        room = clear[3] - position[3]
+        return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room
+
+    @wp.func
+    def on_walls(
+        i: wp.int32,
+        scene: SceneRow,
+        far: wp.bool,
+        part: wp.int32,
+        dt: scalar,
+        scale: wp.float64,
+        parameters: wp.array(dtype=Parameters),
+        segments: wp.array(dtype=Segment),
+        spheres: Spheres,
+        slots: Slots,
+        walls: Walls,
+    ):
+        x = xyz(spheres.position[i])
+        radius = spheres.position[i][3]
+        velocity = spheres.velocity[i]
+        total_force = t.vec3()
+        total_moment = t.vec3()
+        total_lost = wp.float64(0.0)
+        nearest = scalar(wp.static(FARTHEST))
+        row = scene.laws + spheres.material[i] * scene.materials
+        before = slots.touching[i]
+        now = wp.int32(0)
+        for slot in range(scene.analytic):
+            w = scene.walls + slot
+            if far and walls.table[w].motion == FIXED:
+                continue
+            distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
+            gap = distance - radius
+            if walls.table[w].motion == FIXED:
+                nearest = wp.min(nearest, gap + radius)
+            if gap < scalar(0.0):
+                n = into_wall(walls.table[w], direction)  # from the sphere into the wall
+                touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
+                f, new_history, lost = contact_force(
+                    parameters[row + walls.table[w].material], touch, slots.history[i, slot], dt
+                )
+                slots.history[i, slot] = new_history
+                if slot < WALL_BITS:
+                    now = now | (1 << slot)
+                total_lost += wp.float64(lost)
+                total_force += f
+                total_moment += wp.cross((radius + gap) * n, f)
+                add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
+            elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
+                if wp.static(losses):
+                    touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                    p = parameters[row + walls.table[w].material]
+                    total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
+                slots.history[i, slot] = t.vec3()
+        if now != before:
+            slots.touching[i] = now
+        if not far:
+            write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))  # the rest is room for rounding
+        return total_force, total_moment, total_lost
+
+    return SimpleNamespace(Segment=Segment, far_from_walls=far_from_walls, on_walls=on_walls)
+
+
+@functools.cache
+def wall_kernel(scalar, law, losses: bool):
+    """Kernel over spheres: adds the forces of planes and pipes, where the contact kernel does not do that, too.
+
+    On a CPU two kernels are faster: clang inlines a law that a kernel calls once, not one that it calls twice.
+    """
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
+    Parameters = law.functions(scalar).Parameters
+    analytic = analytic_wall_functions(scalar, law, losses)
+    Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
+    read_vec4 = row_functions(scalar).read_vec4
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def wall_contacts(
+        # model
+        wall_parameters: wp.array(dtype=Parameters),
+        segments: wp.array(dtype=Segment),
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        part: wp.int32,
+        # state, read
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        slots: Slots,
+        walls: Walls,
+    ):
+        begin_i = first + wp.tid() * wp.static(SPAN)
+        for i in range(begin_i, wp.min(begin_i + wp.static(SPAN), last)):
+            s = spheres.scene[i]
+            if flags[s, HALTED] != 0:
+                continue
+            far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
+            if far and scenes.row[s].still != 0:
+                continue
+            wall_force, wall_moment, lost = on_walls(
+                i, scenes.row[s], far, part, scalar(scenes.clock[s, DT_PREVIOUS]), scenes.clock[s, FORCE_SCALE],
+                wall_parameters, segments, spheres, slots, walls,
+            )  # fmt: skip
+            spheres.force[i] = spheres.force[i] + wall_force
+            spheres.moment[i] = spheres.moment[i] + wall_moment
+            if wp.static(losses):
+                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+
+    return wall_contacts

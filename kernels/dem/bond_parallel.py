@@ -1,0 +1,93 @@
+"""Parallel bond between two spheres (Zhan et al. 2019, Eqs. 9-12; conventions of PFC 5.0). Tension is positive."""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+
+from .contact_law import contact_functions
+from ..common.types import types, vector_functions
+
+# State of a contact's bond. Positive values number the bond properties in use.
+UNBONDED = wp.constant(0)
+BROKEN_IN_TENSION = wp.constant(-1)
+BROKEN_IN_SHEAR = wp.constant(-2)
+
+
+@functools.cache
+def bond_functions(scalar):
+    """Struct ``Bond``; functions ``bond_force``, ``bond_stiffness`` and ``bond_energy``."""
+    t = types(scalar)
+    Touch = contact_functions(scalar).Touch
+    rotated_with_normal = vector_functions(scalar).rotated_with_normal
+    xyz = vector_functions(scalar).xyz
+
+    @wp.struct
+    class Bond:
+        effective_modulus: scalar
+        shear_to_normal: scalar
+        tensile_strength: scalar
+        cohesion: scalar
+        tan_friction_angle: scalar
+        radius_multiplier: scalar
+        moment_factor: scalar
+
+    @wp.func
+    def bond_stiffness(p: Bond, touch: Touch):
+        """Normal, shear [N/m], bending and torsion [N m] stiffness."""
+        radius = p.radius_multiplier * touch.smaller_radius
+        normal = p.effective_modulus / touch.length * scalar(wp.static(float(np.pi))) * radius * radius
+        bending = scalar(0.25) * normal * radius * radius
+        return t.vec4(normal, normal * p.shear_to_normal, bending, scalar(2.0) * bending * p.shear_to_normal)
+
+    @wp.func
+    def bond_energy(p: Bond, touch: Touch, force: t.vec4, moment: t.vec4):
+        """Elastic energy [J]."""
+        k = bond_stiffness(p, touch)
+        total = force[3] * force[3] / k[0] + wp.length_sq(xyz(force)) / k[1]
+        return scalar(0.5) * (total + wp.length_sq(xyz(moment)) / k[2] + moment[3] * moment[3] / k[3])
+
+    @wp.func
+    def bond_force(
+        p: Bond,
+        touch: Touch,
+        stretch: scalar,
+        relative_spin: t.vec3,
+        force: t.vec4,
+        moment: t.vec4,
+        dt: scalar,
+    ):
+        """New force, new moment and the state of the bond; a broken one still shows the load that broke it.
+
+        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) part. `stretch` is
+        the step's change of the centres' distance; `velocity dt` along the normal would count a rotation of the
+        pair as stretch, in first order of dt.
+        """
+        n = touch.normal
+        k = bond_stiffness(p, touch)
+        vn = wp.dot(touch.velocity, n)
+        spin_n = wp.dot(relative_spin, n)
+        shear = rotated_with_normal(xyz(force), n, touch.twist) + (k[1] * dt) * (touch.velocity - vn * n)
+        tension = force[3] + k[0] * stretch
+        bending = rotated_with_normal(xyz(moment), n, touch.twist) + (k[2] * dt) * (relative_spin - spin_n * n)
+        torsion = moment[3] + k[3] * dt * spin_n
+
+        radius = p.radius_multiplier * touch.smaller_radius
+        per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
+        per_section = scalar(4.0) * per_area / radius  # R / I
+        stress = tension * per_area
+        peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
+        peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section
+        outcome = wp.int32(1)
+        if peak_tension > p.tensile_strength:
+            outcome = wp.static(int(BROKEN_IN_TENSION))
+        elif peak_shear > p.cohesion - stress * p.tan_friction_angle:
+            outcome = wp.static(int(BROKEN_IN_SHEAR))
+        return (
+            t.vec4(shear[0], shear[1], shear[2], tension),
+            t.vec4(bending[0], bending[1], bending[2], torsion),
+            outcome,
+        )
+
+    return SimpleNamespace(Bond=Bond, bond_force=bond_force, bond_stiffness=bond_stiffness, bond_energy=bond_energy)

@@ -1,0 +1,68 @@
+"""Making bonds at existing contacts, and giving some of them other properties."""
+
+import functools
+
+import warp as wp
+
+from ..common.types import vector_functions
+from .contacts import decode
+from .structs import array_structs
+
+
+@functools.cache
+def bond_kernels(scalar):
+    """Kernels ``make`` (bond contacts within a gap) and ``reassign`` (a random fraction to another kind).
+
+    They run over the spheres of one scene, whose structs hold its own arrays, not those of a batch.
+    """
+    structs = array_structs(scalar)
+    Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs
+    xyz = vector_functions(scalar).xyz
+    vec4 = wp.vec4d if scalar is wp.float64 else wp.vec4f
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def make(
+        kind: wp.int32,
+        gap: scalar,
+        group: wp.int32,
+        # state, read
+        bodies: Bodies,
+        spheres: Spheres,
+        # state, read and written
+        pairs: Pairs,
+    ):
+        """Bonds, without load, pairs not bonded yet; with a `group` only pairs inside it, else (-1) any."""
+        i = wp.tid()
+        for k in range(pairs.start[i], pairs.start[i + 1]):
+            j = decode(pairs.other[k])
+            inside = group < 0 or (bodies.group[spheres.body[i]] == group and bodies.group[spheres.body[j]] == group)
+            if inside and pairs.bond[k] <= 0:
+                reach = spheres.position[i][3] + spheres.position[j][3] + gap
+                if wp.length_sq(xyz(spheres.position[j]) - xyz(spheres.position[i])) <= reach * reach:
+                    pairs.bond[k] = kind
+                    pairs.bond_force[k] = vec4()
+                    pairs.bond_moment[k] = vec4()
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def reassign(
+        old_kind: wp.int32,
+        new_kind: wp.int32,
+        fraction: wp.float64,
+        seed: wp.uint32,
+        # state, read
+        spheres: Spheres,
+        # state, read and written
+        pairs: Pairs,
+    ):
+        """The draw depends on seed and permanent numbers only: the same on every device and in any order."""
+        i = wp.tid()
+        for k in range(pairs.start[i], pairs.start[i + 1]):
+            if pairs.bond[k] == old_kind:
+                a = spheres.id[i]
+                b = spheres.id[decode(pairs.other[k])]
+                random = wp.rand_init(wp.int32(seed), wp.min(a, b))
+                random = wp.rand_init(wp.int32(random), wp.max(a, b))
+                if wp.float64(wp.randf(random)) < fraction:
+                    pairs.bond[k] = new_kind
+
+    return make, reassign

@@ -1,0 +1,399 @@
+"""Sphere-sphere contact forces over a stored neighbour list, and, in the same pass, planes and pipes.
+
+One list serves both devices. In the *half* list (CPU: a thread owns the spheres of a chunk) a pair inside a
+chunk stands once and its force is added to both spheres; a pair across two chunks stands at both. In the *full*
+list (GPU) every pair stands at both spheres, each thread writes only its own sphere, and no atomic is needed. A
+pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute and store the same
+bits.
+
+A row of the list is gone through twice: first the distances, which leave a bit for each contact, then the
+contacts, one bit after the other. The second loop does nothing but contacts: on a GPU threads of a warp work on
+theirs together, on a CPU there is no branch to mispredict. The bits of the first BLOCK entries are kept for the
+next step, so that contacts which have parted are known without reading the history of all that never touched.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED
+from ..common.rows import row_functions
+from ..common.types import SPAN, cpu_flags, lowest_bit, types, vector_functions
+from .analytic_walls import analytic_wall_functions
+from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
+from .contact_law import contact_functions
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+
+BLOCK = wp.constant(31)  # list entries gone through at a time; their bits leave the sign of an int32 alone
+ALL_TOUCHED = 2**31 - 1  # bits after a rebuild: whatever touched before
+
+
+@wp.func
+def decode(entry: wp.int32):
+    """Neighbour index of a list entry; entries are j, or -1 - j where j has the lower permanent number."""
+    if entry < 0:
+        return -1 - entry
+    return entry
+
+
+@functools.cache
+def pair_functions(scalar):
+    """`pair_touch`: the geometry of a touching or bonded pair."""
+    t = types(scalar)
+    contact = contact_functions(scalar)
+    Touch, sphere_touch = contact.Touch, contact.sphere_touch
+    xyz = vector_functions(scalar).xyz
+
+    @wp.struct
+    class PairTouch:
+        touch: Touch
+        apart: t.vec3  # velocity of the second centre seen from the first [m/s]
+        distance: scalar  # of the centres [m]
+        arm_i: scalar  # from either centre to the contact point [m]
+        arm_j: scalar
+
+    @wp.func
+    def pair_touch(
+        position_i: t.vec4,
+        velocity_i: t.vec4,
+        spin_i: t.vec3,
+        position_j: t.vec4,
+        velocity_j: t.vec4,
+        spin_j: t.vec3,
+        sign: scalar,
+        dt: scalar,
+    ):
+        """`sign` is 1 where i has the lower permanent number, else -1: the normal points from that sphere on."""
+        pair = PairTouch()
+        offset = xyz(position_j) - xyz(position_i)
+        distance = wp.length(offset)
+        gap = distance - (position_i[3] + position_j[3])
+        # Coincident centres have no direction: any fixed one will part them.
+        n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
+        if distance > scalar(0.0):
+            n = (sign / distance) * offset
+        # The contact point halves the overlap.
+        arm_i = position_i[3] + scalar(0.5) * gap
+        arm_j = position_j[3] + scalar(0.5) * gap
+        apart = sign * (xyz(velocity_j) - xyz(velocity_i))
+        # arm_i spin_i + arm_j spin_j, in a form that rounds alike in both copies of a pair, fused or not.
+        spins = spin_i + spin_j
+        sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
+        sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)
+        velocity = apart - wp.cross(sliding, n)
+        twist = scalar(0.5) * dt * wp.dot(spins, n)
+        pair.touch = sphere_touch(n, gap, velocity, twist, position_i[3], position_j[3], velocity_i[3], velocity_j[3])
+        pair.apart = apart
+        pair.distance = distance
+        pair.arm_i = arm_i
+        pair.arm_j = arm_j
+        return pair
+
+    return SimpleNamespace(PairTouch=PairTouch, pair_touch=pair_touch)
+
+
+@functools.cache
+def parting_function(scalar, law, half: bool, history: bool, healing: bool, losses: bool):
+    """`part`: a pair of the list that touched in the last step and does not any more; the energy that it loses [J]."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    functions = law.functions(scalar)
+    Parameters = functions.Parameters
+    contact_energy = functions.energy
+    sphere_touch = contact_functions(scalar).sphere_touch
+
+    @wp.func
+    def part(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Parameters),
+        row: wp.int32,
+        base: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        radius: scalar,
+        mass: scalar,
+        k: wp.int32,
+    ):
+        lost = wp.float64(0.0)
+        if wp.static(history):
+            if wp.static(losses):
+                # A spring still loaded when the surfaces part takes its energy with it.
+                entry = pairs.other[k]
+                j = base + decode(entry)
+                counts = entry >= 0
+                if wp.static(half):
+                    counts = counts or (j >= first and j < last)
+                if wp.length_sq(pairs.history[k]) > scalar(0.0) and counts:
+                    touch = sphere_touch(
+                        t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, spheres.position[j][3], mass,
+                        spheres.velocity[j][3],
+                    )  # fmt: skip
+                    p = parameters[row + spheres.material[j]]
+                    lost += wp.float64(contact_energy(p, touch, pairs.history[k]))
+            pairs.history[k] = t.vec3()
+        if wp.static(healing):
+            if pairs.bond[k] < 0:
+                pairs.bond[k] = 0  # may bond again at the next touch
+        return lost
+
+    return part
+
+
+@functools.cache
+def bonded_function(scalar, healing: bool, losses: bool):
+    """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    PairTouch = pair_functions(scalar).PairTouch
+    bond = bond_functions(scalar)
+    Bond, bond_force, bond_energy = bond.Bond, bond.bond_force, bond.bond_energy
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
+
+    @wp.func
+    def bonded(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Bond),
+        first_kind: wp.int32,
+        i: wp.int32,
+        k: wp.int32,
+        own: wp.bool,
+        pair: PairTouch,
+        relative_spin: t.vec3,
+        total: t.vec3,
+        lost: scalar,
+        dt: scalar,
+    ):
+        """Force of contact and bond [N], moment of the bond [N m], energy lost [J]; `own` copies count breaking."""
+        moment = t.vec3()
+        kind = read_int(pairs.bond, k)
+        if wp.static(healing):
+            if kind == UNBONDED:
+                kind = 1
+                pairs.bond[k] = 1
+        if kind > 0:
+            touch = pair.touch
+            n = touch.normal
+            # Distance now less distance before, without cancellation.
+            way = dt * pair.apart
+            came_from = pair.distance * n - way
+            stretch = wp.dot(way, pair.distance * n + came_from) / (pair.distance + wp.length(came_from))
+            held_force, held_moment, outcome = bond_force(
+                parameters[first_kind + kind], touch, stretch, relative_spin, read_vec4(pairs.bond_force, k),
+                read_vec4(pairs.bond_moment, k), dt,
+            )  # fmt: skip
+            if outcome < 0:
+                pairs.bond[k] = outcome
+                if own:
+                    broken = spheres.broken[i]
+                    if outcome == BROKEN_IN_TENSION:
+                        broken[0] = broken[0] + 1
+                    else:
+                        broken[1] = broken[1] + 1
+                    spheres.broken[i] = broken
+                if wp.static(losses):
+                    if touch.gap >= scalar(0.0):
+                        lost = scalar(0.0)
+                    lost += bond_energy(parameters[first_kind + kind], touch, held_force, held_moment)
+                held_force = t.vec4()
+                held_moment = t.vec4()
+                # A bond that breaks may leave a pair that no longer touches: the contact's dashpot must not outlive
+                # it.
+                if touch.gap >= scalar(0.0):
+                    total = t.vec3()
+            write_vec4(pairs.bond_force, k, held_force)
+            write_vec4(pairs.bond_moment, k, held_moment)
+            total = total + xyz(held_force) + held_force[3] * n
+            moment = xyz(held_moment) + held_moment[3] * n
+        return total, moment, lost
+
+    return bonded
+
+
+@functools.cache
+def closeness_function(scalar, bonds: bool):
+    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4 = rows.read_int, rows.read_vec4
+
+    @wp.func
+    def close_entries(
+        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32
+    ):
+        bits = wp.int32(0)
+        b = wp.int32(0)
+        x = xyz(position)
+        while b < length:
+            position_j = read_vec4(spheres.position, base + decode(read_int(pairs.other, block + b)))
+            reach = position[3] + position_j[3]
+            close = wp.length_sq(xyz(position_j) - x) < reach * reach
+            if wp.static(bonds):
+                close = close or read_int(pairs.bond, block + b) > 0
+            if close:
+                bits = bits | (1 << b)
+            b = b + 1
+        return bits
+
+    return close_entries
+
+
+@functools.cache
+def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
+                   walls_too: bool, losses: bool):  # fmt: skip
+    """Kernel over spheres: contact forces [N] and moments about sphere centres [N m].
+
+    In the half list they are added to `spheres.force` and `spheres.moment`, else they replace what stands there. With
+    `losses` it also adds up the energy that friction, dashpots and breaking bonds take [J]. `first` and `last` bound
+    the chunk of spheres that this launch owns, `part` is its number.
+    """
+    t = types(scalar)
+    span = SPAN if half else 1
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Pairs, Walls = (
+        structs.Scenes, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
+    )  # fmt: skip
+    law = pair_law.functions(scalar)
+    Parameters, contact_force = law.Parameters, law.force
+    WallParameters = wall_law.functions(scalar).Parameters
+    Bond = bond_functions(scalar).Bond
+    analytic = analytic_wall_functions(scalar, wall_law, losses)
+    Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
+    pair_touch = pair_functions(scalar).pair_touch
+    close_entries = closeness_function(scalar, bonds)
+    part_pair = parting_function(scalar, pair_law, half, history, healing, losses)
+    bonded = bonded_function(scalar, healing, losses)
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+
+    # A GPU's exact division and root are subroutines that take most of a contact's time; those of `fast_math` are
+    # off by two units in the last place, in single precision only.
+    options = {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=options)
+    def contacts(
+        # model
+        pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        wall_parameters: wp.array(dtype=WallParameters),
+        segments: wp.array(dtype=Segment),
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        part: wp.int32,
+        # state, read
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        slots: Slots,
+        pairs: Pairs,
+        walls: Walls,
+    ):
+        begin_i = first + wp.tid() * wp.static(span)
+        for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
+            s = spheres.scene[i]
+            if flags[s, HALTED] != 0:
+                continue
+            base = scenes.row[s].spheres
+            dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
+            position_i = read_vec4(spheres.position, i)
+            velocity_i = read_vec4(spheres.velocity, i)
+            spin_i = read_vec3(spheres.spin, i)
+            row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
+            force_i = t.vec3()
+            moment_i = t.vec3()
+            lost_i = wp.float64(0.0)
+            begin = scenes.row[s].pairs + pairs.start[i + s]
+            end = scenes.row[s].pairs + pairs.start[i + s + 1]
+            before = wp.int32(0)
+            if wp.static(history or healing):
+                before = spheres.touching[i]
+            for block in range(begin, end, BLOCK):
+                bits = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
+                if wp.static(history or healing):
+                    parted = wp.static(ALL_TOUCHED) & ~bits
+                    if block == begin:
+                        parted = parted & before
+                        if bits != before:
+                            spheres.touching[i] = bits
+                    while parted != 0:
+                        k = block + lowest_bit(parted)
+                        parted = parted & (parted - 1)
+                        if k < end:
+                            lost_i += part_pair(
+                                spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3],
+                                k,
+                            )  # fmt: skip
+                while bits != 0:
+                    k = block + lowest_bit(bits)
+                    bits = bits & (bits - 1)
+                    entry = read_int(pairs.other, k)
+                    j = base + decode(entry)
+                    own = entry >= 0  # this copy of the pair is the one that counts
+                    shared = wp.bool(False)
+                    if wp.static(half):
+                        shared = j >= first and j < last
+                        own = own or shared
+                    sign = scalar(1.0)
+                    if entry < 0:
+                        sign = scalar(-1.0)
+                    spin_j = read_vec3(spheres.spin, j)
+                    pair = pair_touch(
+                        position_i, velocity_i, spin_i, read_vec4(spheres.position, j), read_vec4(spheres.velocity, j),
+                        spin_j, sign, dt,
+                    )  # fmt: skip
+                    old_history = t.vec3()
+                    if wp.static(history):
+                        old_history = read_vec3(pairs.history, k)
+                    total, new_history, lost = contact_force(
+                        pair_parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
+                    )
+                    if wp.static(history):
+                        write_vec3(pairs.history, k, new_history)
+                    bond_moment = t.vec3()
+                    if wp.static(bonds):
+                        total, bond_moment, lost = bonded(
+                            spheres, pairs, bond_parameters, scenes.row[s].bonds, i, k, own, pair,
+                            sign * (spin_j - spin_i), total, lost, dt,
+                        )  # fmt: skip
+                    if wp.static(losses):
+                        if own:
+                            lost_i += wp.float64(lost)
+                    turn = wp.cross(pair.touch.normal, total)
+                    force_i = force_i + sign * total
+                    moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
+                    if wp.static(half):
+                        if shared:
+                            write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
+                            other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
+                            write_vec3(spheres.moment, j, other_moment)
+            if wp.static(walls_too):
+                far = far_from_walls(position_i, read_vec4(spheres.clear, i))
+                if not far or scenes.row[s].still == 0:
+                    wall_force, wall_moment, wall_lost = on_walls(
+                        i, scenes.row[s], far, part, dt, scenes.clock[s, FORCE_SCALE], wall_parameters, segments,
+                        spheres, slots, walls,
+                    )  # fmt: skip
+                    force_i += wall_force
+                    moment_i += wall_moment
+                    lost_i += wall_lost
+            if wp.static(losses):
+                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost_i
+            if wp.static(half):
+                write_vec3(spheres.force, i, read_vec3(spheres.force, i) + force_i)
+                write_vec3(spheres.moment, i, read_vec3(spheres.moment, i) + moment_i)
+            else:
+                write_vec3(spheres.force, i, force_i)
+                write_vec3(spheres.moment, i, moment_i)
+
+    return contacts

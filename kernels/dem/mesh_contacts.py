@@ -1,0 +1,316 @@
+"""Contact of spheres with triangle meshes.
+
+Mesh contact keeps a candidate only where its closest point is a local minimum of the distance to the
+*whole* surface: on an edge, neither adjacent face may fall towards the sphere's centre; at a corner,
+no edge that meets there may. That leaves one contact on any triangulated plane and on convex edges and
+corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
+minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
+"""
+
+import functools
+import math
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED, OVERFLOW, STALE
+from ..common.geometry import triangle_functions
+from ..common.types import SPAN, types, vector_functions
+from .analytic_walls import surface_touch_function, wall_force_function
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+
+MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
+MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
+MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
+
+
+@functools.cache
+def minimum_function(scalar):
+    """`is_local_minimum`: whether a closest point is one of the distance to the whole surface, too."""
+    t = types(scalar)
+    Surfaces = array_structs(scalar).Surfaces
+
+    @wp.func
+    def falls_towards(direction: t.vec3, offset: t.vec3):
+        # Would a step along `direction` on the surface come nearer to the sphere's centre? The tolerance
+        # covers single-precision noise; a minimum reported twice within it merges by angle anyway.
+        return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
+
+    @wp.func
+    def is_local_minimum(
+        feature: wp.int32, face: wp.int32, first_face: wp.int32, offset: t.vec3, surfaces: Surfaces
+    ):
+        """`offset` points from the closest point to the centre. Ties between faces go to the lowest face."""
+        if feature == 0:
+            return True
+        if feature < 4:
+            edge = feature - 1
+            across = surfaces.across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
+            if across < 0:
+                return True  # a border edge
+            if surfaces.across[face, edge + 3] < face:
+                return False  # the neighbour reports this edge
+            a = surfaces.corners[surfaces.faces[face, edge]]
+            along = surfaces.corners[surfaces.faces[face, (edge + 1) % 3]] - a
+            inward = surfaces.corners[across] - a
+            inward = inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
+            return not falls_towards(inward, offset)
+        corner = surfaces.faces[face, feature - 4]
+        a = surfaces.corners[corner]
+        lowest = surfaces.ring[surfaces.ring_start[corner]]
+        if lowest != face - first_face:
+            return False  # the lowest face of the ring reports this corner
+        for k in range(surfaces.ring_start[corner] + 1, surfaces.ring_start[corner + 1]):
+            if falls_towards(surfaces.corners[surfaces.ring[k]] - a, offset):
+                return False
+        return True
+
+    return is_local_minimum
+
+
+@functools.cache
+def finding_function(scalar):
+    """`find_contacts`: normals, gaps and walls of a sphere's mesh contacts, one for each surface that it touches."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Slots, Candidates, Walls, Surfaces = (
+        structs.Scenes, structs.Slots, structs.Candidates, structs.Walls, structs.Surfaces
+    )  # fmt: skip
+    is_local_minimum = minimum_function(scalar)
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+    safe_normalize = vector_functions(scalar).safe_normalize
+
+    @wp.struct
+    class Found:
+        count: wp.int32
+        normals: wp.types.matrix((MESH_SLOTS, 3), scalar)
+        gaps: wp.types.vector(MESH_SLOTS, scalar)
+        walls: wp.types.vector(MESH_SLOTS, wp.int32)
+
+    @wp.func
+    def side_before(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
+        """Cosine between a normal and that of the contact before, on the same wall, that is most nearly along it."""
+        side = scalar(0.0)
+        for s in range(MESH_SLOTS):
+            if slots.wall[i, analytic + s] == wall:
+                c = wp.dot(slots.normal[i, analytic + s], n)
+                if wp.abs(c) > wp.abs(side):
+                    side = c
+        return side
+
+    @wp.func
+    def find_contacts(
+        i: wp.int32,
+        scene: wp.int32,
+        begin: wp.int32,
+        end: wp.int32,
+        x: t.vec3,
+        radius: scalar,
+        scenes: Scenes,
+        slots: Slots,
+        candidates: Candidates,
+        walls: Walls,
+        surfaces: Surfaces,
+        flags: wp.array2d(dtype=wp.int32),
+    ):
+        found = Found()
+        for k in range(begin, end):
+            face = candidates.face[k]
+            w = surfaces.wall[face]
+            local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
+            a = surfaces.corners[surfaces.faces[face, 0]]
+            b = surfaces.corners[surfaces.faces[face, 1]]
+            c = surfaces.corners[surfaces.faces[face, 2]]
+            point, feature = closest_on_triangle(local, a, b, c)
+            offset = local - point
+            distance = wp.length(offset)
+            if distance < radius:
+                if is_local_minimum(feature, face, walls.table[w].first_face, offset, surfaces):
+                    n = -safe_normalize(offset, -wp.normalize(wp.cross(b - a, c - a)))
+                    n = wp.quat_rotate(walls.orientation[w], n)
+                    gap = distance - radius
+                    # A centre pushed through the surface: the side it touched before is the inside.
+                    if side_before(slots, i, scenes.row[scene].analytic, w - scenes.row[scene].walls, n) < scalar(-0.7):
+                        n = -n
+                        gap = -distance - radius
+                    place = wp.int32(-1)
+                    for s in range(found.count):
+                        if found.walls[s] == w and wp.dot(found.normals[s], n) > scalar(wp.static(MERGE_COSINE)):
+                            place = s
+                    if place < 0 and found.count == MESH_SLOTS:
+                        flags[scene, OVERFLOW] = 1
+                    else:
+                        if place < 0:
+                            place = found.count
+                            found.count = found.count + 1
+                            found.gaps[place] = scalar(0.0)
+                        if gap < found.gaps[place]:
+                            found.normals[place] = n
+                            found.gaps[place] = gap
+                            found.walls[place] = w
+        return found
+
+    return SimpleNamespace(Found=Found, find_contacts=find_contacts)
+
+
+@functools.cache
+def mesh_kernel(scalar, law, half: bool, losses: bool):
+    """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Candidates, Walls, Surfaces = (
+        structs.Scenes, structs.Spheres, structs.Slots, structs.Candidates, structs.Walls, structs.Surfaces
+    )  # fmt: skip
+    functions = law.functions(scalar)
+    Parameters, contact_force = functions.Parameters, functions.force
+    find_contacts = finding_function(scalar).find_contacts
+    surface_touch = surface_touch_function(scalar)
+    xyz = vector_functions(scalar).xyz
+    add_to_wall = wall_force_function(scalar)
+    span = SPAN if half else 1
+    slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
+
+    @wp.func
+    def history_of(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
+        """History belongs to the old contact on this wall with the nearest normal."""
+        history = t.vec3()
+        best = scalar(wp.static(MERGE_COSINE))
+        for o in range(MESH_SLOTS):
+            if slots.wall[i, analytic + o] == wall:
+                c = wp.dot(slots.normal[i, analytic + o], n)
+                if c > best:
+                    best = c
+                    history = slots.history[i, analytic + o]
+        return history
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def mesh_contacts(
+        # model
+        wall_parameters: wp.array(dtype=Parameters),
+        surfaces: Surfaces,
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        part: wp.int32,
+        # state, read
+        scenes: Scenes,
+        candidates: Candidates,
+        # state, read and written
+        flags: wp.array2d(dtype=wp.int32),
+        spheres: Spheres,
+        slots: Slots,
+        walls: Walls,
+    ):
+        begin_i = first + wp.tid() * wp.static(span)
+        for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
+            scene = spheres.scene[i]
+            if flags[scene, HALTED] != 0:
+                continue
+            begin = scenes.row[scene].candidates + candidates.start[i + scene]
+            end = scenes.row[scene].candidates + candidates.start[i + scene + 1]
+            if begin == end:
+                continue
+            dt = scalar(scenes.clock[scene, DT_PREVIOUS])
+            scale = scenes.clock[scene, FORCE_SCALE]
+            wall_base = scenes.row[scene].walls
+            analytic = scenes.row[scene].analytic
+            x = xyz(spheres.position[i])
+            radius = spheres.position[i][3]
+            velocity = spheres.velocity[i]
+            row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
+            total_force = t.vec3()
+            total_moment = t.vec3()
+            total_lost = wp.float64(0.0)
+            found = find_contacts(
+                i, scene, begin, end, x, radius, scenes, slots, candidates, walls, surfaces, flags
+            )
+            histories = slots_matrix()
+            for s in range(found.count):
+                n = found.normals[s]
+                w = found.walls[s]
+                gap = found.gaps[s]
+                history = history_of(slots, i, analytic, w - wall_base, n)
+                touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
+                f, new_history, lost = contact_force(
+                    wall_parameters[row + walls.table[w].material], touch, history, dt
+                )
+                histories[s] = new_history
+                total_lost += wp.float64(lost)
+                total_force += f
+                total_moment += wp.cross((radius + gap) * n, f)
+                add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
+            for s in range(MESH_SLOTS):
+                if s < found.count:
+                    slots.wall[i, analytic + s] = found.walls[s] - wall_base
+                    slots.normal[i, analytic + s] = found.normals[s]
+                    slots.overlap[i, analytic + s] = -found.gaps[s]
+                    slots.history[i, analytic + s] = histories[s]
+                else:
+                    slots.wall[i, analytic + s] = -1
+            spheres.force[i] = spheres.force[i] + total_force
+            spheres.moment[i] = spheres.moment[i] + total_moment
+            if wp.static(losses):
+                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + total_lost
+
+    return mesh_contacts
+
+
+@functools.cache
+def candidate_kernels(scalar):
+    """Count and fill kernels of the faces within reach of each sphere (reach: radius plus mesh skin)."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Candidates, Walls, Surfaces = (
+        structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls, structs.Surfaces
+    )  # fmt: skip
+    xyz = vector_functions(scalar).xyz
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+
+    def kernel(fill: bool):
+        @wp.kernel(module="unique", enable_backward=False)
+        def find_candidates(
+            # model
+            surfaces: Surfaces,
+            # state, read
+            flags: wp.array2d(dtype=wp.int32),
+            scenes: Scenes,
+            spheres: Spheres,
+            walls: Walls,
+            # written: the count of each sphere, or its candidates
+            count: wp.array(dtype=wp.int32),
+            candidates: Candidates,
+        ):
+            i = wp.tid()
+            s = spheres.scene[i]
+            if flags[s, STALE] == 0:
+                return
+            x = xyz(spheres.position[i])
+            reach = spheres.position[i][3] + scenes.row[s].mesh_skin
+            found = wp.int32(0)
+            place = scenes.row[s].candidates + candidates.start[i + s]
+            first_wall = scenes.row[s].walls
+            for w in range(first_wall + scenes.row[s].analytic, first_wall + scenes.row[s].wall_count):
+                local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
+                centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
+                # The tree is in single precision; the margin covers its rounding.
+                margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
+                box = wp.vec3(margin, margin, margin)
+                query = wp.mesh_query_aabb(walls.table[w].mesh, centre - box, centre + box)
+                local_face = wp.int32(0)
+                while wp.mesh_query_aabb_next(query, local_face):
+                    face = walls.table[w].first_face + local_face
+                    point, feature = closest_on_triangle(
+                        local,
+                        surfaces.corners[surfaces.faces[face, 0]],
+                        surfaces.corners[surfaces.faces[face, 1]],
+                        surfaces.corners[surfaces.faces[face, 2]],
+                    )
+                    if wp.length(local - point) <= reach:
+                        if wp.static(fill):
+                            candidates.face[place + found] = face
+                        found += 1
+            if not wp.static(fill):
+                count[i + s] = found
+
+        return find_candidates
+
+    return kernel(False), kernel(True)

@@ -1,0 +1,358 @@
+"""Motion of rigid bodies: forces gathered from a body's own spheres, leapfrog, spheres carried along."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import FAILED, HALTED, LATE
+from ..common.geometry import axis_functions
+from ..common.rows import row_functions
+from ..common.types import SPAN, types, vector_functions
+from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs
+
+
+@functools.cache
+def rotation_functions(scalar):
+    """Quaternion turn by a rotation vector (not normalised), and the spin that an angular momentum gives."""
+    t = types(scalar)
+
+    @wp.func
+    def turned(q: t.quat, rotation: t.vec3):
+        a = wp.length_sq(rotation)
+        # sin(x / 2) / x and cos(x / 2) in powers of x^2: below 0.1 rad right to the last digit of double precision.
+        s = scalar(wp.static(1 / 2)) - a * (
+            scalar(wp.static(1 / 48)) - a * (scalar(wp.static(1 / 3840)) - a * scalar(wp.static(1 / 645120)))
+        )
+        c = scalar(1.0) - a * (
+            scalar(wp.static(1 / 8))
+            - a
+            * (scalar(wp.static(1 / 384)) - a * (scalar(wp.static(1 / 46080)) - a * scalar(wp.static(1 / 10321920))))
+        )
+        if a > scalar(0.01):
+            angle = wp.sqrt(a)
+            s = wp.sin(scalar(0.5) * angle) / angle
+            c = wp.cos(scalar(0.5) * angle)
+        return t.quat(s * rotation[0], s * rotation[1], s * rotation[2], c) * q
+
+    @wp.func
+    def spin_of(q: t.quat, angular_momentum: t.vec3, inertia: t.vec3):
+        local = wp.quat_rotate_inv(q, angular_momentum)
+        return wp.quat_rotate(q, wp.cw_div(local, inertia))
+
+    @wp.func
+    def spin_at_middle(q: t.quat, angular_momentum: t.vec3, inertia: t.vec3, dt: scalar):
+        """Spin in the middle of the turn that it makes in a step, by a fixed-point iteration."""
+        spin = spin_of(q, angular_momentum, inertia)
+        if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
+            for iteration in range(3):
+                spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
+        return spin
+
+    return turned, spin_at_middle
+
+
+@functools.cache
+def motion_functions(scalar, dissipation: bool):
+    """What both kinds of bodies share: drives, damping, position without lost rounding, and the test of the lists."""
+    t = types(scalar)
+    xyz = vector_functions(scalar).xyz
+    Scenes = array_structs(scalar).Scenes
+    axis = axis_functions(scalar)
+    Segment, closest_on_axis = axis.Segment, axis.closest_on_axis
+    single = scalar is wp.float32
+
+    @wp.func
+    def drive_force_at(
+        segments: wp.array(dtype=Segment),
+        drive_axis: wp.array2d(dtype=wp.int32),
+        drive_force: wp.array(dtype=scalar),
+        group: wp.int32,
+        x: t.vec3,
+    ):
+        """Force along the pipe's axis on a body of a group of the batch."""
+        from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
+        return drive_force[group] * tangent
+
+    @wp.func
+    def damped(total: t.vec3, velocity: t.vec3, damping: scalar, kick: scalar):
+        """Force (moment) less local damping, which acts against each component of the motion, and the energy lost."""
+        lost = wp.float64(0.0)
+        if damping > scalar(0.0):
+            for c in range(3):
+                against = damping * wp.abs(total[c])
+                if wp.static(dissipation):
+                    lost += wp.float64(against * wp.abs(velocity[c]) * kick)
+                total[c] = total[c] - against * wp.sign(velocity[c])
+        return total, lost
+
+    @wp.func
+    def moved_on(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
+        """New position, and what single precision could not add of this step: the next one gives it back."""
+        if wp.static(single):
+            displacement = displacement + rounding
+            after = x + displacement
+            return after, displacement - (after - x)
+        return x + displacement, rounding
+
+    @wp.func
+    def drift_of(scenes: Scenes, s: wp.int32):
+        """How far the common drift of a scene has gone since the lists were built, this step included."""
+        return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
+
+    @wp.func
+    def outgrows_lists(
+        scenes: Scenes, s: wp.int32, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3, meshes: bool
+    ):
+        """Has a sphere gone so far since the build that lists may miss a contact in the next step?"""
+        moved = place - xyz(built)
+        grown = radius - built[3]
+        slack = scalar(0.5) * scenes.row[s].skin - grown
+        late = wp.length_sq(moved - drift) > slack * slack or slack < scalar(0.0)
+        if meshes:
+            late = late or wp.length(moved) + grown > scenes.row[s].sphere_allowance
+        return late
+
+    return SimpleNamespace(
+        Segment=Segment, drive_force_at=drive_force_at, damped=damped, moved_on=moved_on, drift_of=drift_of,
+        outgrows_lists=outgrows_lists,
+    )  # fmt: skip
+
+
+@functools.cache
+def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool):
+    """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
+
+    The same step as `clump_kernel`; what bodies hold besides is written by `sync_kernel`, when somebody looks.
+    """
+    t = types(scalar)
+    span = SPAN if half else 1
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    xyz = vector_functions(scalar).xyz
+    pack = vector_functions(scalar).pack
+    motion = motion_functions(scalar, dissipation)
+    Segment, drive_force_at = motion.Segment, motion.drive_force_at
+    damped, moved_on = motion.damped, motion.moved_on
+    drift_of, outgrows_lists = motion.drift_of, motion.outgrows_lists
+    rows = row_functions(scalar)
+    read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def move_spheres(
+        # model
+        segments: wp.array(dtype=Segment),
+        drive_axis: wp.array2d(dtype=wp.int32),
+        drive_force: wp.array(dtype=scalar),
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        # state, read
+        scenes: Scenes,
+        # state, read and written
+        flags: wp.array2d(dtype=wp.int32),
+        bodies: Bodies,
+        spheres: Spheres,
+    ):
+        begin_i = first + wp.tid() * wp.static(span)
+        for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
+            s = spheres.scene[i]
+            if flags[s, HALTED] != 0:
+                continue
+            dt = scalar(scenes.clock[s, DT])
+            kick = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS])
+            damping = scenes.row[s].local_damping
+            position = read_vec4(spheres.position, i)
+            x = xyz(position)
+            radius = position[3]
+            before = read_vec4(spheres.velocity, i)
+            mass = before[3]
+            velocity = xyz(before)
+            total = read_vec3(spheres.force, i)
+            if wp.static(half):
+                write_vec3(spheres.force, i, t.vec3())
+            if wp.static(drives):
+                group = bodies.group[i]
+                if group > 0:
+                    total += drive_force_at(segments, drive_axis, drive_force, scenes.row[s].groups + group, x)
+            total += mass * scenes.row[s].gravity
+            total, lost = damped(total, velocity, damping, kick)
+            velocity += total * (kick / mass)
+            if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
+                if flags[s, FAILED] == 0:
+                    flags[s, FAILED] = 1 + i - scenes.row[s].spheres
+                continue
+            place, rounding = moved_on(x, dt * velocity, read_vec3(bodies.rounding, i))
+            write_vec3(bodies.rounding, i, rounding)
+
+            if wp.static(rotation):
+                spin = read_vec3(spheres.spin, i)
+                torque, lost_turning = damped(read_vec3(spheres.moment, i), spin, damping, kick)
+                if wp.static(half):
+                    write_vec3(spheres.moment, i, t.vec3())
+                inertia = scalar(0.4) * mass * radius * radius
+                if wp.static(growth):
+                    inertia = scalar(0.4) * mass * spheres.offset[i][3] * spheres.offset[i][3]
+                write_vec3(spheres.spin, i, spin + torque * (kick / inertia))
+                lost += lost_turning
+            elif wp.static(half):
+                write_vec3(spheres.moment, i, t.vec3())
+            if wp.static(dissipation):
+                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+            if wp.static(growth):
+                radius = spheres.offset[i][3] * wp.min(
+                    scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end
+                )
+            drift = drift_of(scenes, s)
+            if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
+                flags[s, LATE] = 1
+            write_vec4(spheres.position, i, pack(place, radius))
+            write_vec4(spheres.velocity, i, pack(velocity, mass))
+
+    return move_spheres
+
+
+@functools.cache
+def sync_kernel(scalar):
+    """Kernel over bodies that are all single spheres: bring what bodies hold up to date with their spheres."""
+    structs = array_structs(scalar)
+    Bodies, Spheres = structs.Bodies, structs.Spheres
+    xyz = vector_functions(scalar).xyz
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def sync_bodies(spheres: Spheres, bodies: Bodies):
+        i = wp.tid()
+        bodies.position[i] = xyz(spheres.position[i])
+        bodies.velocity[i] = xyz(spheres.velocity[i])
+        bodies.spin[i] = spheres.spin[i]
+
+    return sync_bodies
+
+
+@functools.cache
+def gather_function(scalar, half: bool):
+    """`gather`: force and moment about its centroid that a body's spheres have met; a half list is cleared for the
+    next step."""
+    t = types(scalar)
+    Spheres = array_structs(scalar).Spheres
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
+
+    @wp.func
+    def gather(spheres: Spheres, begin: wp.int32, end: wp.int32, x: t.vec3):
+        total = t.vec3()
+        torque = t.vec3()
+        for s in range(begin, end):
+            f = read_vec3(spheres.force, s)
+            total += f
+            torque += read_vec3(spheres.moment, s) + wp.cross(xyz(read_vec4(spheres.position, s)) - x, f)
+            if wp.static(half):
+                write_vec3(spheres.force, s, t.vec3())
+                write_vec3(spheres.moment, s, t.vec3())
+        return total, torque
+
+    return gather
+
+
+@functools.cache
+def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, dissipation: bool):
+    """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
+
+    Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
+    before to the middle of this one, so the step size may change on the way. Bodies with three principal
+    moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
+    time-reversible and its energy error bounded.
+    """
+    span = SPAN if half else 1
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    xyz = vector_functions(scalar).xyz
+    pack = vector_functions(scalar).pack
+    turned, spin_at_middle = rotation_functions(scalar)
+    gather = gather_function(scalar, half)
+    motion = motion_functions(scalar, dissipation)
+    Segment, drive_force_at = motion.Segment, motion.drive_force_at
+    damped, moved_on = motion.damped, motion.moved_on
+    drift_of, outgrows_lists = motion.drift_of, motion.outgrows_lists
+    rows = row_functions(scalar)
+    read_vec4, write_vec3, write_vec4 = rows.read_vec4, rows.write_vec3, rows.write_vec4
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def move_clumps(
+        # model
+        segments: wp.array(dtype=Segment),
+        drive_axis: wp.array2d(dtype=wp.int32),
+        drive_force: wp.array(dtype=scalar),
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        # state, read
+        scenes: Scenes,
+        # state, read and written
+        flags: wp.array2d(dtype=wp.int32),
+        bodies: Bodies,
+        spheres: Spheres,
+    ):
+        begin_b = first + wp.tid() * wp.static(span)
+        for b in range(begin_b, wp.min(begin_b + wp.static(span), last)):
+            scene = bodies.scene[b]
+            if flags[scene, HALTED] != 0:
+                continue
+            dt = scalar(scenes.clock[scene, DT])
+            kick = scalar(0.5) * scalar(scenes.clock[scene, DT] + scenes.clock[scene, DT_PREVIOUS])
+            damping = scenes.row[scene].local_damping
+            x = bodies.position[b]
+            mass = bodies.mass[b]
+            begin = scenes.row[scene].spheres + bodies.first[b + scene]
+            end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
+
+            total, torque = gather(spheres, begin, end, x)
+            if wp.static(drives):
+                group = bodies.group[b]
+                if group > 0:
+                    total += drive_force_at(segments, drive_axis, drive_force, scenes.row[scene].groups + group, x)
+            total += mass * scenes.row[scene].gravity
+
+            velocity = bodies.velocity[b]
+            total, lost = damped(total, velocity, damping, kick)
+            velocity += total * (kick / mass)
+            if not (wp.length_sq(velocity) <= scenes.row[scene].speed_limit * scenes.row[scene].speed_limit):
+                if flags[scene, FAILED] == 0:
+                    flags[scene, FAILED] = 1 + b - scenes.row[scene].bodies
+                continue
+            x, rounding = moved_on(x, dt * velocity, bodies.rounding[b])
+            bodies.rounding[b] = rounding
+            bodies.position[b] = x
+            bodies.velocity[b] = velocity
+
+            torque, lost_turning = damped(torque, bodies.spin[b], damping, kick)
+            if wp.static(dissipation):
+                spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + lost + lost_turning
+            q = bodies.orientation[b]
+            angular_momentum = bodies.angular_momentum[b] + kick * torque
+            spin = spin_at_middle(q, angular_momentum, bodies.inertia[b], dt)
+            orientation = wp.normalize(turned(q, dt * spin))
+            bodies.angular_momentum[b] = angular_momentum
+            bodies.orientation[b] = orientation
+            bodies.spin[b] = spin
+
+            size = scalar(1.0)
+            if wp.static(growth):
+                size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
+            drift = drift_of(scenes, scene)
+            for s in range(begin, end):
+                offset = read_vec4(spheres.offset, s)
+                arm = wp.quat_rotate(orientation, xyz(offset)) * size
+                place = x + arm
+                carried = velocity + wp.cross(spin, arm)
+                radius = offset[3] * size
+                if outgrows_lists(
+                    scenes, scene, place, radius, read_vec4(spheres.built, s), drift, wp.static(meshes)
+                ):
+                    flags[scene, LATE] = 1
+                write_vec4(spheres.position, s, pack(place, radius))
+                write_vec4(spheres.velocity, s, pack(carried, mass))
+                write_vec3(spheres.spin, s, spin)
+
+    return move_clumps

@@ -1,0 +1,293 @@
+"""What is measured: per-body and per-sphere contributions, to be summed in a fixed order."""
+
+import functools
+
+import warp as wp
+
+from ..common.geometry import axis_functions
+from ..common.types import types, vector_functions
+from ..common.walls import wall_functions
+from .bond_parallel import bond_functions
+from .contact_law import contact_functions
+from .contacts import decode
+from .structs import DT_PREVIOUS, array_structs
+
+HYDRATED = wp.constant(2)  # kind of bond that hydrated contacts have; 1 is that of the others
+
+# Columns of the per-sphere contact sums.
+CONTACTS = wp.constant(0)  # touching pairs
+OVERLAP_SUM = wp.constant(1)  # of overlap over the smaller radius
+OVERLAP_MAX = wp.constant(2)
+ELASTIC_ENERGY = wp.constant(3)  # [J], springs, walls included, at the middle of the last step
+BOND_ENERGY = wp.constant(4)  # [J]
+BONDED = wp.constant(5)  # pairs with a bond
+VIRIAL = wp.constant(6)  # sum of normal spring force times branch vector of the bodies [J]
+BONDED_HYDRATED = wp.constant(7)  # pairs with a bond of the second kind
+DEPTH_MAX = wp.constant(8)  # overlap over what swallows a sphere or halves the centres' distance; on walls: the radius
+BROKEN_TENSION = wp.constant(9)  # bonds broken by tension since the start
+BROKEN_SHEAR = wp.constant(10)  # bonds broken by shear since the start
+CONTACT_COLUMNS = wp.constant(11)
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # of these columns the largest counts, of the others the sum
+
+# Columns of the per-body sums.
+KINETIC = wp.constant(0)  # [J], at the middle of the last step
+POTENTIAL = wp.constant(1)  # [J], gravity, from the origin, at the middle of the last step
+MOMENTUM = wp.constant(2)  # ..4 [kg m/s], at the middle of the last step
+LIFT = wp.constant(5)  # ..7 sum of mass times position [kg m]
+DRIVEN = wp.constant(8)  # ..10 sum of axis drive forces [N]
+DRIVE_POWER = wp.constant(11)  # of the axis drives [W]
+REACH = wp.constant(12)  # largest coordinate [m]
+BODY_COLUMNS = wp.constant(13)
+BODY_MAXIMA = (int(REACH),)
+
+LANES = 256  # partial sums of a column; their order, and so the bits of a sum, depends on the number of rows only
+
+
+@functools.cache
+def column_kernels(maxima: tuple[int, ...]):
+    """Kernels that add up (or take the maximum of) every column: rows to LANES partial results, then those."""
+    bits = sum(1 << c for c in maxima)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def partial(values: wp.array2d(dtype=wp.float64), rows: wp.int32, lanes: wp.array2d(dtype=wp.float64)):
+        lane, c = wp.tid()
+        largest = ((wp.static(bits) >> c) & 1) != 0
+        total = wp.float64(0.0)
+        for row in range(lane, rows, wp.static(LANES)):
+            if largest:
+                total = wp.max(total, values[row, c])
+            else:
+                total += values[row, c]
+        lanes[lane, c] = total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def whole(lanes: wp.array2d(dtype=wp.float64), sums: wp.array(dtype=wp.float64)):
+        c = wp.tid()
+        largest = ((wp.static(bits) >> c) & 1) != 0
+        total = wp.float64(0.0)
+        for lane in range(wp.static(LANES)):
+            if largest:
+                total = wp.max(total, lanes[lane, c])
+            else:
+                total += lanes[lane, c]
+        sums[c] = total
+
+    return partial, whole
+
+
+@functools.cache
+def body_probe(scalar):
+    """Kernel over the bodies of scene `s`: a row of values each, in the order of permanent numbers."""
+    structs = array_structs(scalar)
+    Scenes, Bodies = structs.Scenes, structs.Bodies
+    axis = axis_functions(scalar)
+    Segment, closest_on_axis = axis.Segment, axis.closest_on_axis
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_bodies(
+        # model
+        segments: wp.array(dtype=Segment),
+        drive_axis: wp.array2d(dtype=wp.int32),
+        drive_force: wp.array(dtype=scalar),
+        # state, read
+        s: wp.int32,
+        scenes: Scenes,
+        bodies: Bodies,
+        # written
+        values: wp.array2d(dtype=wp.float64),
+    ):
+        b = scenes.row[s].bodies + wp.tid()
+        row = bodies.id[b]
+        half = wp.float64(0.5)
+        mass = wp.float64(bodies.mass[b])
+        x = wp.vec3d(bodies.position[b])
+        v = wp.vec3d(bodies.velocity[b])
+        local = wp.vec3d(wp.quat_rotate_inv(bodies.orientation[b], bodies.spin[b]))
+        turning = wp.dot(wp.cw_mul(wp.vec3d(bodies.inertia[b]), local), local)
+        values[row, KINETIC] = half * (mass * wp.dot(v, v) + turning)
+        lifted = x - half * scenes.clock[s, DT_PREVIOUS] * v
+        values[row, POTENTIAL] = -mass * wp.dot(wp.vec3d(scenes.row[s].gravity), lifted)
+        driven = wp.vec3d()
+        group = scenes.row[s].groups + bodies.group[b]
+        if bodies.group[b] > 0 and drive_axis[group, 1] > drive_axis[group, 0]:
+            offset, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], bodies.position[b])
+            driven = wp.vec3d(drive_force[group] * tangent)
+        for c in range(3):
+            values[row, MOMENTUM + c] = mass * v[c]
+            values[row, LIFT + c] = mass * x[c]
+            values[row, DRIVEN + c] = driven[c]
+        values[row, DRIVE_POWER] = wp.dot(driven, v)
+        values[row, REACH] = wp.max(wp.abs(x))
+
+    return measure_bodies
+
+
+@functools.cache
+def pair_probe_function(scalar, law, history: bool, bonds: bool):
+    """`measure_pair`: adds what a listed pair brings to the row of sphere i; returns its normal force [N]."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
+    functions = law.functions(scalar)
+    Parameters, pair_energy, pair_force = functions.Parameters, functions.energy, functions.force
+    sphere_touch = contact_functions(scalar).sphere_touch
+    Bond, bond_energy = bond_functions(scalar).Bond, bond_functions(scalar).bond_energy
+    xyz = vector_functions(scalar).xyz
+    safe_normalize = vector_functions(scalar).safe_normalize
+
+    @wp.func
+    def measure_pair(
+        i: wp.int32,
+        j: wp.int32,
+        s: wp.int32,
+        k: wp.int32,
+        parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        scenes: Scenes,
+        bodies: Bodies,
+        spheres: Spheres,
+        pairs: Pairs,
+        values: wp.array2d(dtype=wp.float64),
+    ):
+        zero = scalar(0.0)
+        normal_force = zero
+        row = spheres.id[i]
+        half_step = scalar(0.5) * scalar(scenes.clock[s, DT_PREVIOUS])
+        radius_i = spheres.position[i][3]
+        radius_j = spheres.position[j][3]
+        mass_i = spheres.velocity[i][3]
+        mass_j = spheres.velocity[j][3]
+        smaller = wp.min(radius_i, radius_j)
+        offset = xyz(spheres.position[j]) - xyz(spheres.position[i])
+        overlap = radius_i + radius_j - wp.length(offset)
+        n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
+        middle = half_step * wp.dot(xyz(spheres.velocity[j]) - xyz(spheres.velocity[i]), n) + overlap
+        p = parameters[scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials + spheres.material[j]]
+        if overlap > zero:
+            relative = wp.float64(overlap / smaller)
+            values[row, CONTACTS] = values[row, CONTACTS] + wp.float64(1.0)
+            values[row, OVERLAP_SUM] = values[row, OVERLAP_SUM] + relative
+            values[row, OVERLAP_MAX] = wp.max(values[row, OVERLAP_MAX], relative)
+            deep = wp.float64(overlap / wp.min(scalar(2.0) * smaller, scalar(0.5) * (radius_i + radius_j)))
+            values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], deep)
+            touch = sphere_touch(n, -overlap, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
+            push, unused, unused_loss = pair_force(p, touch, t.vec3(), zero)
+            normal_force = -wp.dot(push, n)
+            first_body = scenes.row[s].bodies
+            branch = bodies.position[first_body + spheres.body[j]] - bodies.position[first_body + spheres.body[i]]
+            values[row, VIRIAL] = values[row, VIRIAL] - wp.float64(wp.dot(push, n) * wp.dot(branch, n))
+        if middle > zero:
+            held = t.vec3()
+            if wp.static(history):
+                held = pairs.history[k]
+            touch = sphere_touch(n, -middle, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
+            values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(pair_energy(p, touch, held))
+        if wp.static(bonds):
+            kind = pairs.bond[k]
+            if kind > 0:
+                touch = sphere_touch(n, zero, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
+                b = bond_parameters[scenes.row[s].bonds + kind]
+                stored = bond_energy(b, touch, pairs.bond_force[k], pairs.bond_moment[k])
+                values[row, BOND_ENERGY] = values[row, BOND_ENERGY] + wp.float64(stored)
+                values[row, BONDED] = values[row, BONDED] + wp.float64(1.0)
+                if kind == HYDRATED:
+                    values[row, BONDED_HYDRATED] = values[row, BONDED_HYDRATED] + wp.float64(1.0)
+        return normal_force
+
+    return measure_pair
+
+
+@functools.cache
+def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
+    """Kernel over spheres of scene `s`: a row of values each, by permanent numbers, and each pair's normal force."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
+        structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
+    )  # fmt: skip
+    PairParameters = pair_law.functions(scalar).Parameters
+    WallParameters, wall_energy = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).energy
+    Bond = bond_functions(scalar).Bond
+    measure_pair = pair_probe_function(scalar, pair_law, history, bonds)
+    wall_touch = contact_functions(scalar).wall_touch
+    shape = wall_functions(scalar)
+    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
+    xyz = vector_functions(scalar).xyz
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_contacts(
+        # model
+        pair_parameters: wp.array(dtype=PairParameters),
+        bond_parameters: wp.array(dtype=Bond),
+        wall_parameters: wp.array(dtype=WallParameters),
+        segments: wp.array(dtype=Segment),
+        # chunk
+        s: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        # state, read
+        scenes: Scenes,
+        bodies: Bodies,
+        spheres: Spheres,
+        slots: Slots,
+        pairs: Pairs,
+        walls: Walls,
+        # written
+        values: wp.array2d(dtype=wp.float64),
+        pair_normal_force: wp.array(dtype=scalar),
+    ):
+        i = first + wp.tid()
+        zero = scalar(0.0)
+        base = scenes.row[s].spheres
+        half_step = scalar(0.5) * scalar(scenes.clock[s, DT_PREVIOUS])
+        row = spheres.id[i]
+        for c in range(CONTACT_COLUMNS):
+            values[row, c] = wp.float64(0.0)
+        if wp.static(bonds):
+            values[row, BROKEN_TENSION] = wp.float64(spheres.broken[i][0])
+            values[row, BROKEN_SHEAR] = wp.float64(spheres.broken[i][1])
+        x = xyz(spheres.position[i])
+        radius = spheres.position[i][3]
+        velocity = xyz(spheres.velocity[i])
+        first_entry = scenes.row[s].pairs
+        for k in range(first_entry + pairs.start[i + s], first_entry + pairs.start[i + s + 1]):
+            entry = pairs.other[k]
+            j = base + decode(entry)
+            counts = entry >= 0
+            if wp.static(half):
+                counts = counts or (j >= first and j < last)
+            pair_normal_force[k - first_entry] = zero
+            if counts:
+                pair_normal_force[k - first_entry] = measure_pair(
+                    i, j, s, k, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, values
+                )
+        material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
+        for slot in range(slots.history.shape[1]):
+            w = scenes.row[s].walls + slot
+            n = t.vec3()  # into the wall
+            overlap = scalar(-1.0)
+            towards = half_step
+            known = slot < scenes.row[s].analytic
+            if known:
+                distance, direction = distance_to_wall(
+                    walls.table[w], segments, walls.position[w], walls.normal[w], x
+                )
+                n = into_wall(walls.table[w], direction)
+                overlap = radius - distance
+            else:
+                known = slots.wall[i, slot] >= 0
+                towards = -half_step  # a mesh's overlap is that of the step's start
+                if known:
+                    w = scenes.row[s].walls + slots.wall[i, slot]
+                    n = slots.normal[i, slot]
+                    overlap = slots.overlap[i, slot]
+            if known:
+                middle = overlap + towards * wp.dot(walls.velocity[w] - velocity, n)
+                values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], wp.float64(overlap / radius))
+                if middle > zero and wp.length_sq(n) > zero:
+                    touch = wall_touch(n, -middle, t.vec3(), zero, radius, spheres.velocity[i][3])
+                    p_wall = wall_parameters[material + walls.table[w].material]
+                    stored = wall_energy(p_wall, touch, slots.history[i, slot])
+                    values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(stored)
+
+    return measure_contacts

@@ -1,0 +1,129 @@
+"""Spatial re-sorting of bodies and their spheres."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.types import types
+from .structs import array_structs, scene_struct
+
+
+@functools.cache
+def permute_kernel(dtype, columns: bool):
+    """target[i] = source[order[i]], or the same for rows of a 2D array; a module of its own for each type."""
+    if columns:
+
+        @wp.kernel(module="unique", enable_backward=False)
+        def permute_rows(
+            source: wp.array2d(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array2d(dtype=dtype)
+        ):
+            i, c = wp.tid()
+            target[i, c] = source[order[i], c]
+
+        return permute_rows
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def permute(source: wp.array(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array(dtype=dtype)):
+        i = wp.tid()
+        target[i] = source[order[i]]
+
+    return permute
+
+
+@wp.kernel(enable_backward=False)
+def iota(target: wp.array(dtype=wp.int32)):
+    """target[i] = i"""
+    i = wp.tid()
+    target[i] = i
+
+
+@wp.kernel(enable_backward=False)
+def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
+    """inverse[order[i]] = i"""
+    i = wp.tid()
+    inverse[order[i]] = i
+
+
+@functools.cache
+def order_kernels(scalar):
+    """Kernels that re-sort bodies and their spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``.
+
+    Scenes keep their rows; inside those of a scene to be sorted (`sort[s]`) bodies follow the Morton code of their
+    cell, in the others they stay.
+    """
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    SceneRow = scene_struct(scalar)
+
+    @wp.func
+    def cell_of(scene: SceneRow, x: t.vec3, c: wp.int32):
+        return wp.int32(wp.floor(x[c] / (scalar(2.0) * scene.largest_radius + scene.skin)))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def corner(scenes: Scenes, bodies: Bodies, lowest: wp.array2d(dtype=wp.int32)):
+        """Lowest cell of each scene in each direction."""
+        b = wp.tid()
+        s = bodies.scene[b]
+        for c in range(3):
+            index = cell_of(scenes.row[s], bodies.position[b], c)
+            if index < lowest[s, c]:
+                wp.atomic_min(lowest, s, c, index)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def keys(
+        # state, read
+        scenes: Scenes,
+        bodies: Bodies,
+        sort: wp.array(dtype=wp.int32),
+        lowest: wp.array2d(dtype=wp.int32),
+        # written
+        key: wp.array(dtype=wp.int64),
+        value: wp.array(dtype=wp.int32),
+    ):
+        """Scene, then Morton code of the body's cell from the lowest on, 10 bits a direction, wrapping beyond."""
+        b = wp.tid()
+        s = bodies.scene[b]
+        code = wp.int32(0)
+        if sort[s] != 0:
+            for c in range(3):
+                index = (cell_of(scenes.row[s], bodies.position[b], c) - lowest[s, c]) & 1023
+                for bit in range(10):
+                    code = code | (((index >> bit) & 1) << (3 * bit + c))
+        else:
+            code = b - scenes.row[s].bodies
+        key[b] = (wp.int64(s) << wp.int64(30)) | wp.int64(code)
+        value[b] = b
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def counts(bodies: Bodies, order: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)):
+        """Spheres of the body that comes to place i."""
+        i = wp.tid()
+        s = bodies.scene[i]
+        count[i] = bodies.first[order[i] + s + 1] - bodies.first[order[i] + s]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def place_spheres(
+        # read
+        scenes: Scenes,
+        order: wp.array(dtype=wp.int32),
+        old_first: wp.array(dtype=wp.int32),
+        new_start: wp.array(dtype=wp.int32),
+        # written
+        bodies: Bodies,
+        spheres: Spheres,
+        old_place: wp.array(dtype=wp.int32),
+    ):
+        """Old places of the spheres in their new order, their bodies' new places, and the bodies' first spheres."""
+        i = wp.tid()
+        s = bodies.scene[i]
+        base = scenes.row[s].spheres
+        for c in range(new_start[i + 1] - new_start[i]):
+            old_place[new_start[i] + c] = base + old_first[order[i] + s] + c
+            spheres.body[new_start[i] + c] = i - scenes.row[s].bodies
+        bodies.first[i + s] = new_start[i] - base
+        if i + 1 == scenes.row[s].bodies + scenes.row[s].body_count:
+            bodies.first[i + s + 1] = new_start[i + 1] - base
+
+    return SimpleNamespace(corner=corner, keys=keys, counts=counts, place_spheres=place_spheres)

@@ -1,0 +1,175 @@
+"""The arrays that kernels of discrete elements work on, as structs: scenes, bodies, spheres, slots, pairs, walls.
+
+Arrays are flat over all scenes of a batch. Indices that an array holds (`bodies.first`, `spheres.body`, entries of
+`pairs.other`, `slots.wall`) count from the scene's first row, so a scene alone and in a batch holds the same numbers.
+Faces, corners and axis segments, which no state holds, count over the whole batch. What the features of a scene do not
+need has no rows.
+
+Beside them stands `flags`, an array of the slots of `common.control`, shape (scenes, FLAGS). It is no member of
+`Scenes`: with it there, the compiler of CPU kernels fuses other products and sums of a contact than it does without,
+and results would differ in their last digits from those of earlier versions.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.types import types
+from ..common.walls import wall_struct
+
+# Slots of the double-precision array `clock`, one row a scene.
+TIME = wp.constant(0)  # [s]
+DT = wp.constant(1)  # step about to be taken [s]
+DT_PREVIOUS = wp.constant(2)  # step taken before; 0 at the start, which makes the first kick a half one [s]
+SINCE_BUILD = wp.constant(3)  # time since the neighbour lists were built [s]
+FORCE_SCALE = wp.constant(4)  # fixed-point units per newton
+STABLE = wp.constant(5)  # the stable step as last estimated, without safety factor [s]
+CLOCK = 8
+
+
+@functools.cache
+def scene_struct(scalar):
+    """What kernels must know of one scene of a batch: its numbers, and where its rows begin in the flat arrays."""
+    t = types(scalar)
+
+    @wp.struct
+    class SceneRow:
+        gravity: t.vec3
+        local_damping: scalar
+        speed_limit: scalar
+        skin: scalar  # of the pair lists
+        mesh_skin: scalar  # of the mesh candidates
+        sphere_allowance: scalar  # of the mesh skin, for spheres to go in; moving meshes take the rest [m]
+        growth_rate: scalar
+        growth_end: scalar
+        safety: wp.float64  # of the automatic time step
+        largest_step: wp.float64
+        fixed_step: wp.float64  # 0: automatic
+        foreseen_speed: wp.float64  # that a wall will have or forces can give before the next estimate
+        wall_stiffness: wp.float64  # least that a driven wall meets [N/m]
+        largest_radius: scalar  # at full size
+        bodies: wp.int32  # first rows, and how many
+        body_count: wp.int32
+        spheres: wp.int32
+        sphere_count: wp.int32
+        pairs: wp.int32
+        candidates: wp.int32
+        walls: wp.int32
+        wall_count: wp.int32
+        analytic: wp.int32  # planes and pipes, which come first
+        still: wp.int32  # 1: none of those ever moves
+        held: wp.int32  # 1: walls that move by prescription stand still for now
+        materials: wp.int32  # contact parameters form a square table of them
+        laws: wp.int32  # first row of that table
+        bonds: wp.int32
+        groups: wp.int32
+
+    return SceneRow
+
+
+@functools.cache
+def array_structs(scalar) -> SimpleNamespace:
+    """Structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates`, `Walls` and `Surfaces`."""
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
+    Wall = wall_struct(scalar)
+
+    @wp.struct
+    class Scenes:
+        row: wp.array(dtype=SceneRow)  # numbers and first rows, shape (scenes,)
+        clock: wp.array2d(dtype=wp.float64)  # slots above, shape (scenes, CLOCK)
+        scale: wp.array(dtype=scalar)  # factor of all sizes while packing grows them, shape (scenes,)
+        reference_velocity: wp.array(dtype=t.vec3)  # mean at the lists' building, the common drift [m/s]
+
+    @wp.struct
+    class Bodies:
+        id: wp.array(dtype=wp.int32)  # permanent number, shape (bodies,) as the rest
+        scene: wp.array(dtype=wp.int32)  # number in the batch
+        shape: wp.array(dtype=wp.int32)  # an index into the state's templates
+        group: wp.array(dtype=wp.int32)  # index into the model's groups; 0 is none
+        size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
+        mass: wp.array(dtype=scalar)  # [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
+        position: wp.array(dtype=t.vec3)  # centroid [m]
+        rounding: wp.array(dtype=t.vec3)  # what rounding took from the position so far [m]
+        velocity: wp.array(dtype=t.vec3)  # at the middle of the last step [m/s]
+        spin: wp.array(dtype=t.vec3)  # in space, likewise [rad/s]
+        orientation: wp.array(dtype=t.quat)  # from body to space
+        angular_momentum: wp.array(dtype=t.vec3)  # in space [kg m2/s]
+        first: wp.array(dtype=wp.int32)  # sphere of each body, and the end of the last, shape (bodies + scenes,)
+
+    @wp.struct
+    class Spheres:
+        id: wp.array(dtype=wp.int32)  # permanent number, shape (spheres,) as the rest
+        scene: wp.array(dtype=wp.int32)  # number in the batch
+        body: wp.array(dtype=wp.int32)  # that it belongs to
+        material: wp.array(dtype=wp.int32)  # index into the model's materials
+        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, radius; at full size [m]
+        position: wp.array(dtype=t.vec4)  # centre and radius [m]
+        velocity: wp.array(dtype=t.vec4)  # of the centre [m/s], and the body's mass [kg]
+        spin: wp.array(dtype=t.vec3)  # of the body [rad/s]
+        built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
+        clear: wp.array(dtype=t.vec4)  # where its distance to still walls was last measured, and that distance [m]
+        force: wp.array(dtype=t.vec3)  # of all contacts in this step [N]
+        moment: wp.array(dtype=t.vec3)  # about its centre [N m]
+        touching: wp.array(dtype=wp.int32)  # a bit for each of the first list entries that touched in the last step
+        dissipated_energy: wp.array(dtype=wp.float64)  # since the start [J]
+        broken: wp.array(dtype=wp.vec2i)  # bonds since the start: by tension, by shear
+
+    @wp.struct
+    class Slots:
+        touching: wp.array(dtype=wp.int32)  # a bit for each plane or pipe touched in the last step, shape (spheres,)
+        history: wp.array2d(dtype=t.vec3)  # of a contact with a wall: planes and pipes, then meshes, (spheres, slots)
+        normal: wp.array2d(dtype=t.vec3)  # of mesh contacts, into the wall, (spheres, slots)
+        overlap: wp.array2d(dtype=scalar)  # of mesh contacts [m], (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # of mesh contacts, -1 for none, (spheres, slots)
+
+    @wp.struct
+    class Pairs:
+        start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
+        other: wp.array(dtype=wp.int32)  # the other sphere j, or -1 - j if j has the lower number, shape (pairs,)
+        history: wp.array(dtype=t.vec3)  # of the contact, for springs the shear force [N], shape (pairs,)
+        bond: wp.array(dtype=wp.int32)  # kind of bond, 0 for none, below 0 broken, shape (pairs,)
+        bond_force: wp.array(dtype=t.vec4)  # shear vector and tension [N], shape (pairs,)
+        bond_moment: wp.array(dtype=t.vec4)  # bending vector and torsion [N m], shape (pairs,)
+
+    @wp.struct
+    class Candidates:
+        start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
+        face: wp.array(dtype=wp.int32)  # triangles within reach of it, shape (candidates,)
+
+    @wp.struct
+    class Walls:
+        scene: wp.array(dtype=wp.int32)  # number in the batch, shape (walls,) as the rest
+        table: wp.array(dtype=Wall)  # what each wall is
+        rest_position: wp.array(dtype=wp.vec3d)  # at the start [m]
+        position_exact: wp.array(dtype=wp.vec3d)  # in double precision [m]
+        velocity_exact: wp.array(dtype=wp.vec3d)  # likewise [m/s]
+        position: wp.array(dtype=t.vec3)  # of the wall's frame [m]
+        orientation: wp.array(dtype=t.quat)  # of the wall's frame
+        normal: wp.array(dtype=t.vec3)  # planes: unit normal into the material
+        velocity: wp.array(dtype=t.vec3)  # mean over the step [m/s]
+        spin: wp.array(dtype=t.vec3)  # mean over the step [rad/s]
+        force: wp.array(dtype=wp.vec3d)  # of all contacts in the last step [N]
+        moment: wp.array(dtype=wp.vec3d)  # about the wall's position [N m]
+        impulse: wp.array(dtype=wp.vec3d)  # of that force since the start [N s]
+        angular_impulse: wp.array(dtype=wp.vec3d)  # of that moment since the start [N m s]
+        travel: wp.array(dtype=wp.float64)  # way gone since the start [m]
+        work: wp.array(dtype=wp.float64)  # done on the material since the start [J]
+        moved: wp.array(dtype=wp.float64)  # meshes: way that a corner may have gone since the lists were built [m]
+        step_force: wp.array3d(dtype=wp.int64)  # force and moment of this step in fixed point, (threads, walls, 6)
+
+    @wp.struct
+    class Surfaces:
+        corners: wp.array(dtype=t.vec3)  # of all meshes, each in its wall's frame [m], shape (corners,)
+        faces: wp.array2d(dtype=wp.int32)  # their corners, shape (faces, 3)
+        across: wp.array2d(dtype=wp.int32)  # far corner beyond each edge, then the face there; -1 at borders, (faces, 6)
+        ring_start: wp.array(dtype=wp.int32)  # of each corner's row in `ring`, and the end, shape (corners + 1,)
+        ring: wp.array(dtype=wp.int32)  # lowest face at a corner, then the corners it shares an edge with
+        wall: wp.array(dtype=wp.int32)  # that a face belongs to, shape (faces,)
+
+    return SimpleNamespace(
+        Scenes=Scenes, Bodies=Bodies, Spheres=Spheres, Slots=Slots, Pairs=Pairs, Candidates=Candidates, Walls=Walls,
+        Surfaces=Surfaces,
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""How walls move, by prescription or by the forces on them."""
+
+import functools
+
+import warp as wp
+
+from ..common.control import FAILED, HALTED, LATE
+from ..common.types import types
+from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED
+from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
+
+SPEED_LIMIT = 1.0e4  # [m/s]; nothing that is pumped or dropped comes near
+
+
+@wp.func
+def ramped(time: wp.float64, ramp: wp.float64):
+    """Integral of min(time / ramp, 1), the distance gone at unit final speed."""
+    if time <= wp.float64(0.0):
+        return wp.float64(0.0)
+    if time < ramp:
+        return wp.float64(0.5) * time * time / ramp
+    return time - wp.float64(0.5) * ramp
+
+
+@functools.cache
+def motion_functions(scalar):
+    """`follow` a prescribed motion, `drive` a wall by a force: each for one wall and one step."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Walls = structs.Scenes, structs.Walls
+
+    @wp.func
+    def follow(walls: Walls, w: wp.int32, now: wp.float64, dt: wp.float64):
+        wall = walls.table[w]
+        before = walls.position_exact[w]
+        gone = ramped(now, wall.ramp_time)
+        angle = gone * wp.length(wall.spin)
+        after = walls.rest_position[w]
+        if angle > wp.float64(0.0):
+            q = wp.quat_from_axis_angle(wp.normalize(wall.spin), angle)
+            after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
+            walls.orientation[w] = t.quat(q)
+            walls.normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
+        after += gone * wall.velocity  # the pivot travels along
+        rate = wp.float64(0.0)
+        if dt > wp.float64(0.0):
+            rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
+        # Average over the step, as the particles' leapfrog velocities are.
+        walls.spin[w] = t.vec3(rate * wall.spin)
+        walls.position_exact[w] = after
+        walls.velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
+        arm = wp.length(walls.rest_position[w] - wall.pivot)
+        if wp.length(wall.velocity) > wp.float64(0.0):
+            walls.travel[w] = gone * wp.length(wall.velocity)
+        else:
+            walls.travel[w] = gone * wp.length(wall.spin) * arm
+
+    @wp.func
+    def drive(
+        scenes: Scenes,
+        s: wp.int32,
+        f: wp.vec3d,
+        kick: wp.float64,
+        dt: wp.float64,
+        flags: wp.array2d(dtype=wp.int32),
+        walls: Walls,
+        w: wp.int32,
+    ):
+        wall = walls.table[w]
+        direction = wp.normalize(wall.velocity)
+        speed = wp.dot(walls.velocity_exact[w], direction)
+        push_along = wall.drive_force + wp.dot(f, direction)
+        # The damper acts on the mean of old and new speed, which is stable for any damping.
+        half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
+        speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
+        if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
+            flags[s, FAILED] = -1 - (w - scenes.row[s].walls)
+        walls.velocity_exact[w] = speed * direction
+        walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction
+        walls.travel[w] = walls.travel[w] + dt * speed
+
+    return follow, drive
+
+
+@functools.cache
+def advance_kernel(scalar):
+    """One thread a wall: collect the step's forces, move to the next time."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Walls = structs.Scenes, structs.Walls
+    follow, drive = motion_functions(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def advance_walls(
+        # state, read
+        scenes: Scenes,
+        # state, read and written
+        flags: wp.array2d(dtype=wp.int32),
+        walls: Walls,
+    ):
+        w = wp.tid()
+        s = walls.scene[w]
+        if flags[s, HALTED] != 0:
+            return
+        dt = scenes.clock[s, DT]
+        # Forces act from the middle of the step before to the middle of this one.
+        kick = wp.float64(0.5) * (dt + scenes.clock[s, DT_PREVIOUS])
+        motion = walls.table[w].motion
+        unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
+        f = wp.vec3d()
+        m = wp.vec3d()
+        for c in range(3):
+            push = wp.int64(0)
+            turn = wp.int64(0)
+            for part in range(walls.step_force.shape[0]):
+                push += walls.step_force[part, w, c]
+                turn += walls.step_force[part, w, c + 3]
+                walls.step_force[part, w, c] = wp.int64(0)
+                walls.step_force[part, w, c + 3] = wp.int64(0)
+            f[c] = unit * wp.float64(push)
+            m[c] = unit * wp.float64(turn)
+        walls.force[w] = f
+        walls.moment[w] = m
+        walls.impulse[w] = walls.impulse[w] + kick * f
+        walls.angular_impulse[w] = walls.angular_impulse[w] + kick * m
+        # Work done on the material, with the velocity of the middle of the step that ends here.
+        walls.work[w] = walls.work[w] - wp.float64(0.5) * scenes.clock[s, DT_PREVIOUS] * (
+            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
+        )
+        now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
+        if motion == PRESCRIBED and scenes.row[s].held == 0:
+            follow(walls, w, now, dt)
+        elif motion == DRIVEN and now >= wp.float64(0.0):
+            drive(scenes, s, f, kick, dt, flags, walls, w)
+        walls.position[w] = t.vec3(walls.position_exact[w])
+        walls.velocity[w] = t.vec3(walls.velocity_exact[w])
+        walls.work[w] = walls.work[w] - wp.float64(0.5) * dt * (
+            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
+        )
+        if walls.table[w].kind == MESH and motion != FIXED:
+            speed = wp.length(walls.velocity_exact[w])
+            speed += wp.length(wp.vec3d(walls.spin[w])) * walls.table[w].extent
+            walls.moved[w] = walls.moved[w] + dt * speed
+            if walls.moved[w] > wp.float64(0.5) * wp.float64(scenes.row[s].mesh_skin):
+                flags[s, LATE] = 1
+
+    return advance_walls

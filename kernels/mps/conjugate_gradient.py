@@ -1,0 +1,318 @@
+"""Conjugate gradients for the two kinds of equations of the moving particle method, matrix-free but for pair weights.
+
+A row is: diagonal times own value, less the pair coefficients times the neighbours' values; rows of velocities may
+also resist motion along the wall. The preconditioner is the diagonal. A CPU runs a whole solve in one kernel, a thread
+for each chunk of rows, with barriers where sums are formed; a GPU runs three kernels an iteration inside a loop of a
+CUDA graph. Sums are formed in the same order every time.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.barrier import meet
+from ..common.control import FAILED, HALTED
+from ..common.reductions import BLOCK, keep, total
+from ..common.rows import row_product
+from ..common.types import cpu_flags
+from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place
+
+# Slots of the outcome of a solve.
+ITERATIONS = wp.constant(0)
+BEFORE = wp.constant(1)  # norm of the residual at the start
+AFTER = wp.constant(2)  # and at the end
+OUTCOME = 4
+
+
+@functools.cache
+def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
+    """What a row of the solution is (`value`), its `inner` product, the preconditioner, and what walls and surface add.
+
+    Rows of velocities are bound to the wall by `drag`, along it only; rows of scalars at the free surface are zero.
+    """
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    value = t.vec if vector else scalar
+    structs = array_structs(scalar, dimensions)
+    Solve = structs.VectorSolve if vector else structs.NumberSolve
+    Fields = structs.Fields
+
+    @wp.func
+    def inner(a: value, b: value) -> wp.float64:
+        if wp.static(vector):
+            return wp.float64(wp.dot(a, b))
+        else:
+            return wp.float64(a * b)
+
+    @wp.func
+    def divided(r: value, free: wp.int32, diagonal: scalar, drag: scalar) -> value:
+        if wp.static(vector):
+            return r / (diagonal + drag)
+        else:
+            if free == 0 and diagonal > scalar(0.0):
+                return r / diagonal
+            return scalar(0.0)
+
+    @wp.func
+    def bounded(product: value, own: value, x: t.vec, free: wp.int32, drag: scalar) -> value:
+        if wp.static(vector):
+            if drag > scalar(0.0):
+                n = f.outward(x)
+                return product + drag * (own - wp.dot(n, own) * n)
+            return product
+        else:
+            if free != 0:
+                return scalar(0.0)
+            return product
+
+    return SimpleNamespace(value=value, Solve=Solve, inner=inner, divided=divided, bounded=bounded)
+
+
+@functools.cache
+def serial_solver(scalar, dimensions: int, vector: bool):
+    """Kernel of one task a thread: the whole solve over rows `first` to `end`; adds to `x`."""
+    f = solver_functions(scalar, dimensions, vector)
+    Solve, value = f.Solve, f.value
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    product = row_product(scalar, value)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def solve(
+        # what is solved, and how well
+        flow: Flow,
+        what: wp.int32,
+        tolerance: wp.float64,
+        small_enough: wp.float64,
+        maximum: wp.int32,
+        # chunk
+        part: wp.int32,
+        parts: wp.int32,
+        first: wp.int32,
+        end: wp.int32,
+        gate: wp.array(dtype=wp.int32),
+        # state, read (but for its flags)
+        particles: Particles,
+        lists: Lists,
+        fields: Fields,
+        # written
+        system: Solve,
+        x: wp.array(dtype=value),
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for i in range(first, end):
+            z = f.divided(system.residual[i], fields.free[i], fields.diagonal[i], fields.drag[i])
+            system.direction[i] = z
+            rz += f.inner(system.residual[i], z)
+            rr += f.inner(system.residual[i], system.residual[i])
+        system.partial[part] = rz
+        system.partial[parts + part] = rr
+        meet(gate, parts)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for k in range(parts):
+            rz += system.partial[k]
+            rr += system.partial[parts + k]
+        start = wp.sqrt(rr)
+        goal = wp.max(tolerance * tolerance * rr, small_enough * small_enough)
+        count = wp.int32(0)
+        while rr > goal and count < maximum:
+            pq = wp.float64(0.0)
+            for i in range(first, end):
+                own = system.direction[i]
+                sum = fields.diagonal[i] * own - product(
+                    lists.near, fields.pair_coefficient, system.direction, i * lists.near_capacity, lists.near_count[i]
+                )
+                sum = f.bounded(sum, own, particles.position[i], fields.free[i], fields.drag[i])
+                system.product[i] = sum
+                pq += f.inner(own, sum)
+            system.partial[2 * parts + part] = pq
+            meet(gate, parts)
+            pq = wp.float64(0.0)
+            for k in range(parts):
+                pq += system.partial[2 * parts + k]
+            if pq <= wp.float64(0.0):
+                break
+            alpha = scalar(rz / pq)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for i in range(first, end):
+                x[i] = x[i] + alpha * system.direction[i]
+                left = system.residual[i] - alpha * system.product[i]
+                system.residual[i] = left
+                z = f.divided(left, fields.free[i], fields.diagonal[i], fields.drag[i])
+                system.product[i] = z
+                rz_after += f.inner(left, z)
+                rr += f.inner(left, left)
+            system.partial[part] = rz_after
+            system.partial[parts + part] = rr
+            meet(gate, parts)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for k in range(parts):
+                rz_after += system.partial[k]
+                rr += system.partial[parts + k]
+            beta = scalar(rz_after / rz)
+            rz = rz_after
+            for i in range(first, end):
+                system.direction[i] = system.product[i] + beta * system.direction[i]
+            if part == 0 and count < system.history.shape[0]:
+                system.history[count] = wp.sqrt(rr)
+            count += 1
+            meet(gate, parts)
+        if part == 0:
+            system.outcome[ITERATIONS] = wp.float64(count)
+            system.outcome[BEFORE] = start
+            system.outcome[AFTER] = wp.sqrt(rr)
+            if not rr <= goal:
+                particles.flags[FAILED] = what
+        # Nobody may look at the flags before all have left the loop.
+        meet(gate, parts)
+        if part == 0 and particles.flags[FAILED] != 0:
+            particles.flags[HALTED] = 1
+        meet(gate, parts)
+
+    return solve
+
+
+@functools.cache
+def parallel_start(scalar, dimensions: int, vector: bool):
+    """Kernels `begin` and `ready`, launched in whole blocks: the first direction, and whether there is anything to do."""
+    f = solver_functions(scalar, dimensions, vector)
+    Solve = f.Solve
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Fields = structs.Particles, structs.Fields
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def begin(flow: Flow, blocks: wp.int32, fields: Fields, system: Solve):
+        i = wp.tid()
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if i < flow.count:
+            z = f.divided(system.residual[i], fields.free[i], fields.diagonal[i], fields.drag[i])
+            system.direction[i] = z
+            rz = f.inner(system.residual[i], z)
+            rr = f.inner(system.residual[i], system.residual[i])
+        keep(i, system.partial, 0, rz)
+        keep(i, system.partial, blocks, rr)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def ready(
+        blocks: wp.int32, tolerance: wp.float64, small_enough: wp.float64, particles: Particles, system: Solve
+    ):
+        i = wp.tid()
+        rz = total(i, system.partial, 0, blocks)
+        rr = total(i, system.partial, blocks, blocks)
+        if i == 0:
+            goal = wp.max(tolerance * tolerance * rr, small_enough * small_enough)
+            system.numbers[0] = rz
+            system.numbers[2] = goal
+            system.going[0] = 0
+            if particles.flags[HALTED] == 0:
+                system.outcome[ITERATIONS] = wp.float64(0.0)
+                system.outcome[BEFORE] = wp.sqrt(rr)
+                system.outcome[AFTER] = wp.sqrt(rr)
+                if rr > goal:
+                    system.going[0] = 1
+
+    return begin, ready
+
+
+@functools.cache
+def parallel_iteration(scalar, dimensions: int, vector: bool):
+    """Kernels `multiply`, `update` and `direct`, one iteration, launched in whole blocks; they add to `x`.
+
+    `now` is 0 and 1 in turn: which of two numbers holds the inner product of residual and preconditioned residual.
+    """
+    f = solver_functions(scalar, dimensions, vector)
+    Solve, value = f.Solve, f.value
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    place = row_place(False)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def multiply(
+        flow: Flow, blocks: wp.int32, particles: Particles, lists: Lists, fields: Fields, system: Solve
+    ):
+        if system.going[0] == 0:
+            return
+        i = wp.tid()
+        pq = wp.float64(0.0)
+        if i < flow.count:
+            own = system.direction[i]
+            sum = fields.diagonal[i] * own
+            for k in range(lists.near_count[i]):
+                at = place(i, k, flow.count, lists.near_capacity)
+                sum -= fields.pair_coefficient[at] * system.direction[lists.near[at]]
+            sum = f.bounded(sum, own, particles.position[i], fields.free[i], fields.drag[i])
+            system.product[i] = sum
+            pq = f.inner(own, sum)
+        keep(i, system.partial, 2 * blocks, pq)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def update(
+        flow: Flow, blocks: wp.int32, now: wp.int32, fields: Fields, system: Solve, x: wp.array(dtype=value)
+    ):
+        if system.going[0] == 0:
+            return
+        i = wp.tid()
+        pq = total(i, system.partial, 2 * blocks, blocks)
+        alpha = scalar(0.0)
+        if pq > wp.float64(0.0):
+            alpha = scalar(system.numbers[now] / pq)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if i < flow.count:
+            x[i] = x[i] + alpha * system.direction[i]
+            left = system.residual[i] - alpha * system.product[i]
+            system.residual[i] = left
+            z = f.divided(left, fields.free[i], fields.diagonal[i], fields.drag[i])
+            system.product[i] = z
+            rz = f.inner(left, z)
+            rr = f.inner(left, left)
+        keep(i, system.partial, 0, rz)
+        keep(i, system.partial, blocks, rr)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def direct(
+        flow: Flow,
+        blocks: wp.int32,
+        now: wp.int32,
+        what: wp.int32,
+        maximum: wp.int32,
+        particles: Particles,
+        system: Solve,
+    ):
+        # The first block may end the loop while others set out: what they then leave out, nobody reads.
+        if system.going[0] == 0:
+            return
+        i = wp.tid()
+        rz = total(i, system.partial, 0, blocks)
+        beta = scalar(rz / system.numbers[now])
+        if i < flow.count:
+            system.direction[i] = system.product[i] + beta * system.direction[i]
+        if i < BLOCK:
+            rr = total(i, system.partial, blocks, blocks)
+            if i == 0:
+                count = wp.int32(system.outcome[ITERATIONS])
+                if count < system.history.shape[0]:
+                    system.history[count] = wp.sqrt(rr)
+                count += 1
+                system.outcome[ITERATIONS] = wp.float64(count)
+                system.outcome[AFTER] = wp.sqrt(rr)
+                system.numbers[1 - now] = rz
+                if rr <= system.numbers[2]:
+                    system.going[0] = 0
+                elif not (rr > system.numbers[2]) or count >= maximum:
+                    system.going[0] = 0
+                    particles.flags[FAILED] = what
+                    particles.flags[HALTED] = 1
+
+    return multiply, update, direct

@@ -1,0 +1,86 @@
+"""Lists of neighbours of the moving particle method.
+
+Fluid particles within the operators' reach stand in a `near` row, those that only the density sees in a `far` row,
+particles of the walls in a third; all with a skin, so that the lists serve for many steps.
+"""
+
+import functools
+
+import warp as wp
+
+from ..common.control import OVERFLOW
+from .structs import array_structs, flow_struct, mps_types, row_place
+
+
+@functools.cache
+def list_kernels(scalar, dimensions: int, serial: bool):
+    """`place` (points for the grid) and `search` (all rows)."""
+    t = mps_types(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    entry = row_place(serial)
+
+    @wp.func
+    def point(x: t.vec) -> wp.vec3f:
+        if wp.static(dimensions == 2):
+            return wp.vec3f(wp.float32(x[0]), wp.float32(0.0), wp.float32(x[1]))
+        else:
+            return wp.vec3f(wp.float32(x[0]), wp.float32(x[1]), wp.float32(x[wp.static(dimensions - 1)]))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def place(flow: Flow, particles: Particles, lists: Lists, points: wp.array(dtype=wp.vec3f), fields: Fields):
+        i = wp.tid()
+        if i < flow.count:
+            points[i] = point(particles.position[i])
+            fields.built[i] = particles.position[i]
+        else:
+            points[i] = point(lists.wall_position[i - flow.count])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def search(
+        # model
+        flow: Flow,
+        near_reach: scalar,
+        whole_reach: scalar,
+        grid: wp.uint64,
+        # state, read
+        points: wp.array(dtype=wp.vec3f),
+        # written
+        particles: Particles,
+        lists: Lists,
+    ):
+        i = wp.tid()
+        here = points[i]
+        # A hair more than the skin, for the rounding of the grid's points.
+        inner = wp.float32(near_reach) * wp.float32(1.0001)
+        outer = wp.float32(whole_reach) * wp.float32(1.0001)
+        nears, fars, walls = wp.int32(0), wp.int32(0), wp.int32(0)
+        for j in wp.hash_grid_query(grid, here, outer):
+            if j == i:
+                continue
+            r = wp.length(points[j] - here)
+            if r > outer:
+                continue
+            if j >= flow.count:
+                if walls < lists.wall_capacity:
+                    lists.wall[entry(i, walls, flow.count, lists.wall_capacity)] = j - flow.count
+                walls += 1
+            elif r <= inner:
+                if nears < lists.near_capacity:
+                    lists.near[entry(i, nears, flow.count, lists.near_capacity)] = j
+                nears += 1
+            else:
+                if fars < lists.far_capacity:
+                    lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
+                fars += 1
+        # Over the capacity in per mille, so that one number tells how much is missing in any of the three.
+        needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
+        needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
+        if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:
+            wp.atomic_max(particles.flags, OVERFLOW, needed + 1)
+        lists.near_count[i] = wp.min(nears, lists.near_capacity)
+        lists.far_count[i] = wp.min(fars, lists.far_capacity)
+        lists.wall_count[i] = wp.min(walls, lists.wall_capacity)
+
+    return place, search

@@ -1,0 +1,124 @@
+"""Where the particles of the moving particle method go at the end of a step."""
+
+import functools
+
+import warp as wp
+
+from ..common.control import FAILED, HALTED, STALE, STEPS
+from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
+
+CROWDED = wp.constant(0.95)
+"""Spacings at which particles begin to be pushed apart."""
+
+
+@functools.cache
+def shift_kernel(scalar, dimensions: int, serial: bool):
+    """How far each particle goes besides with its velocity: off crowds, and apart from those that come too near."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    place = row_place(serial)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def shift(
+        # model
+        flow: Flow,
+        # chunk
+        first: wp.int32,
+        end: wp.int32,
+        # state, read
+        particles: Particles,
+        lists: Lists,
+        # written
+        fields: Fields,
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        begin = first + wp.tid() * wp.static(span(serial))
+        for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
+            x = particles.position[i]
+            p = fields.potential[i]
+            slope = t.vec()
+            push = t.vec()
+            close = scalar(CROWDED) * flow.spacing
+            for k in range(lists.near_count[i]):
+                at = place(i, k, flow.count, lists.near_capacity)
+                j = lists.near[at]
+                d = particles.position[j] - x
+                square = wp.length_sq(d)
+                slope += f.slope_of_pair(fields.pair_weight[at], d, fields.potential[j] - p)
+                if square < close * close:
+                    r = wp.max(wp.sqrt(square), scalar(1.0e-3) * flow.spacing)
+                    push -= (scalar(0.1) * (close - r) / r) * d
+            away = fields.fluid_inverse[i] * slope
+            farthest = scalar(0.02) * flow.spacing
+            size = wp.length(away)
+            if size > farthest:
+                away = away * (farthest / size)
+            fields.moved[i] = push - away
+
+    return shift
+
+
+@functools.cache
+def advance_kernel(scalar, dimensions: int, serial: bool):
+    """Particles go to their new places; says when the lists are no longer good, or a particle is lost."""
+    f = mps_functions(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Fields = structs.Particles, structs.Fields
+    last = dimensions - 1
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def advance(
+        # model
+        flow: Flow,
+        # chunk
+        first: wp.int32,
+        end: wp.int32,
+        # state, read (but for what is late)
+        fields: Fields,
+        # read and written
+        particles: Particles,
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        begin = first + wp.tid() * wp.static(span(serial))
+        for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
+            x = particles.position[i]
+            relative = particles.velocity[i]
+            relative[last] = relative[last] - flow.piston_speed
+            # What rounding took from small steps is kept and added to the next (Kahan).
+            step = flow.dt * relative + fields.moved[i] - particles.rounding[i]
+            after = x + step
+            particles.rounding[i] = (after - x) - step
+            out = f.beyond_room(flow, after)
+            if out > scalar(0.0):
+                after = after - out * f.outward(after)
+            lowest = scalar(0.25) * flow.spacing
+            if after[last] < lowest:
+                after[last] = lowest
+            particles.position[i] = after
+            far = wp.length(after - fields.built[i])
+            if far > scalar(0.45) * flow.skin:
+                fields.late[0] = 1
+            if not (far < flow.radius and after[last] < flow.highest):
+                fields.late[1] = 1
+
+    return advance
+
+
+@wp.kernel(enable_backward=False)
+def finish(late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
+    """One thread: the step is complete."""
+    if flags[HALTED] != 0:
+        return
+    flags[STEPS] = flags[STEPS] + 1
+    if late[0] != 0:
+        flags[STALE] = 1
+        flags[HALTED] = 1
+    if late[1] != 0:
+        flags[FAILED] = LOST
+        flags[HALTED] = 1

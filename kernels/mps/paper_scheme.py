@@ -1,0 +1,174 @@
+"""The operators of Xu, Li & Jiang 2021 as they are printed, to show what they do; `operators.py` has ours.
+
+Laplacian without calibration (Eq. 5, reach 4.1 spacings), pressure without prediction from the number density's rate
+(Eqs. 4 and 7), gradient from the lowest pressure around with a factor of 2 (Eq. 18). One sign is mended: as printed,
+Eq. 4 gives a pressure that pulls crowded particles closer, and nothing can be run. Walls are ours: what lies behind
+them has the particle's own pressure, and in the rate of number density the wall's velocity.
+"""
+
+import functools
+
+import warp as wp
+
+from ..common.control import HALTED
+from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
+
+LAPLACIAN = 4.1
+"""Reach over the spacing."""
+
+
+@functools.cache
+def weights_kernel(scalar, dimensions: int, serial: bool):
+    """After geometry: pair weights of the printed Laplacian, and no prediction."""
+    f = mps_functions(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    place = row_place(serial)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def weights(
+        # model
+        flow: Flow,
+        reach: scalar,
+        laplacian_number: scalar,
+        # chunk
+        first: wp.int32,
+        end: wp.int32,
+        # state, read
+        particles: Particles,
+        lists: Lists,
+        # written
+        fields: Fields,
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        begin = first + wp.tid() * wp.static(span(serial))
+        for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
+            for k in range(lists.near_count[i]):
+                at = place(i, k, flow.count, lists.near_capacity)
+                r = f.distance(flow, particles.position[lists.near[at]] - particles.position[i])
+                fields.pair_weight[at] = scalar(0.0)
+                if r < reach:
+                    fields.pair_weight[at] = (
+                        scalar(wp.static(5.0 - dimensions)) / laplacian_number * reach / (r * r * r)
+                    )
+            fields.inverse_number[i] = scalar(0.5)  # of a pair's two, which then leave its weight as it is
+            fields.predicted[i] = scalar(0.0)
+
+    return weights
+
+
+@functools.cache
+def source_kernel(scalar, dimensions: int, serial: bool):
+    """Before the pressure's solve: rate of the number density."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields, Solve = structs.Particles, structs.Lists, structs.Fields, structs.NumberSolve
+    place = row_place(serial)
+    last = dimensions - 1
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def source(
+        # model
+        flow: Flow,
+        # chunk
+        first: wp.int32,
+        end: wp.int32,
+        # state, read
+        particles: Particles,
+        lists: Lists,
+        # written
+        fields: Fields,
+        projection: Solve,
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        begin = first + wp.tid() * wp.static(span(serial))
+        for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
+            x = particles.position[i]
+            v = particles.velocity[i]
+            total = scalar(0.0)
+            rate = scalar(0.0)
+            for k in range(lists.near_count[i]):
+                at = place(i, k, flow.count, lists.near_capacity)
+                j = lists.near[at]
+                fields.pair_coefficient[at] = fields.pair_weight[at]
+                total += fields.pair_weight[at]
+                d = particles.position[j] - x
+                r = f.distance(flow, d)
+                if r < flow.cutoff:
+                    rate -= flow.cutoff / (r * r * r) * wp.dot(d, particles.velocity[j] - v)
+            n = f.outward(x)
+            for k in range(lists.wall_count[i]):
+                y = lists.wall_position[lists.wall[place(i, k, flow.count, lists.wall_capacity)]]
+                d = y - x
+                r = f.distance(flow, d)
+                if r < flow.cutoff:
+                    jump = t.vec()
+                    if wp.length(f.across(y)) > flow.radius:
+                        jump -= wp.dot(v, n) * n
+                    if y[last] < scalar(0.0):
+                        jump[last] = jump[last] - (v[last] - flow.piston_speed)
+                    rate -= flow.cutoff / (r * r * r) * wp.dot(d, jump)
+            fields.diagonal[i] = total
+            fields.increment[i] = scalar(0.0)
+            projection.residual[i] = flow.density / flow.dt * rate / flow.lattice_number
+            if fields.free[i] != 0:
+                projection.residual[i] = scalar(0.0)
+
+    return source
+
+
+@functools.cache
+def projection_kernel(scalar, dimensions: int, serial: bool):
+    """After the pressure's solve: velocities without divergence, as far as the printed gradient goes."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    Flow = flow_struct(scalar)
+    structs = array_structs(scalar, dimensions)
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    place = row_place(serial)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def project(
+        # model
+        flow: Flow,
+        # chunk
+        first: wp.int32,
+        end: wp.int32,
+        # state, read
+        lists: Lists,
+        fields: Fields,
+        # read and written
+        particles: Particles,
+    ):
+        if particles.flags[HALTED] != 0:
+            return
+        begin = first + wp.tid() * wp.static(span(serial))
+        for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
+            x = particles.position[i]
+            lowest = fields.increment[i]
+            for k in range(lists.near_count[i]):
+                j = lists.near[place(i, k, flow.count, lists.near_capacity)]
+                if wp.length(particles.position[j] - x) < flow.cutoff:
+                    lowest = wp.min(lowest, fields.increment[j])
+            slope = t.vec()
+            for k in range(lists.near_count[i]):
+                j = lists.near[place(i, k, flow.count, lists.near_capacity)]
+                d = particles.position[j] - x
+                r = f.distance(flow, d)
+                if r < flow.cutoff:
+                    slope += (f.weight(r, flow.cutoff) * (fields.increment[j] - lowest) / (r * r)) * d
+            for k in range(lists.wall_count[i]):
+                d = lists.wall_position[lists.wall[place(i, k, flow.count, lists.wall_capacity)]] - x
+                r = f.distance(flow, d)
+                if r < flow.cutoff:
+                    slope += (f.weight(r, flow.cutoff) * (fields.increment[i] - lowest) / (r * r)) * d
+            gradient = scalar(wp.static(2.0 * dimensions)) / flow.lattice_number * slope
+            particles.velocity[i] = particles.velocity[i] - (flow.dt / flow.density) * gradient
+            particles.pressure[i] = fields.increment[i]
+
+    return project

@@ -1,0 +1,159 @@
+"""`warpcrete study`: options with several values, a study, its table."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import click
+
+from ..core.errors import RunFolderError
+from ..core.parameters import kind_and_help
+
+FLAGS = ("one-at-a-time", "rerun", "usd", "quiet")
+SETTINGS = {
+    "repeat": int,
+    "out": Path,
+    "resume": Path,
+    "device": str,
+    "precision": str,
+    "processes": int,
+    "frames": float,
+    "checkpoint-every": float,
+}
+
+
+def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
+    """Scene name, if any, and the values that follow each `--option`."""
+    scene = None
+    options: dict[str, list[str]] = {}
+    current: list[str] | None = None
+    for word in arguments:
+        if word.startswith("--"):
+            name, given, value = word[2:].partition("=")
+            name = name.replace("_", "-")
+            if name in FLAGS:
+                if given:
+                    raise click.UsageError(f"--{name}: takes no value")
+                options[name], current = [], None
+                continue
+            if name in options:
+                raise click.UsageError(f"--{name}: given twice; list its values behind one")
+            current = options.setdefault(name, [value] if given else [])
+        elif current is not None:
+            current.append(word)
+        elif scene is None:
+            scene = word
+        else:
+            raise click.UsageError(f"{word!r}: belongs to no option")
+    return scene, options
+
+
+def run(arguments: list[str], modules: dict[str, Any]) -> None:
+    """Run, or go on with, a study, and print its table."""
+    from ..core.progress import ProgressBar
+    from ..record.run_folder import next_folder, read_json
+    from ..studies.study import resume_study, run_study
+
+    scene, options = parsed(arguments)
+    settings: dict[str, Any] = {}
+    for name in FLAGS:
+        values = options.pop(name, None)
+        if values:
+            raise click.UsageError(f"--{name}: takes no value")
+        settings[name] = values is not None
+    for name, kind in SETTINGS.items():
+        values = options.pop(name, None)
+        if values is not None:
+            if len(values) != 1:
+                raise click.UsageError(f"--{name}: takes one value")
+            settings[name] = _converted(name, values[0], kind)
+    progress = ProgressBar()
+    tell = None if settings["quiet"] else progress
+    processes = settings.get("processes")
+    if processes is not None and processes < 1:
+        raise click.UsageError("--processes: must be 1 or more")
+    try:
+        if (folder := settings.get("resume")) is not None:
+            given = [n for n in settings if n not in ("resume", "quiet", "processes") and settings[n]] + list(options)
+            if scene is not None or given:
+                raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
+            if not (folder / "study.json").is_file():
+                raise RunFolderError(f"resume = '{folder}': is no study's folder (it holds no study.json)")
+            name = read_json(folder / "study.json").get("scene")
+            if name not in modules:
+                raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
+            study = resume_study(folder, modules[name], processes=processes, progress=tell)
+        else:
+            if scene not in modules:
+                raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+            if settings.get("precision") not in (None, "float32", "float64"):
+                raise click.UsageError(f"precision = {settings['precision']!r}: must be float32 or float64")
+            module = modules[scene]
+            lists = _parameter_values(module, options)
+            study = run_study(
+                scene,
+                module,
+                {name: values for name, values in lists.items() if len(values) > 1},
+                base={name: values[0] for name, values in lists.items() if len(values) == 1},
+                out=settings.get("out") or next_folder("study"),
+                repeat=settings.get("repeat", 1),
+                one_at_a_time=settings["one-at-a-time"],
+                device=settings.get("device"),
+                precision=settings.get("precision", "float32"),
+                processes=processes,
+                frames=settings.get("frames", 25.0),
+                rerun=settings["rerun"],
+                usd=settings["usd"],
+                checkpoint_every=settings.get("checkpoint-every", 60.0),
+                progress=tell,
+            )
+    finally:
+        progress.close()
+    click.echo()
+    if any(name in result for result in study.results.values() for name in study.figures):
+        click.echo(study.table())
+    for name, message in study.failures.items():
+        click.echo(f"failed: {name}: {message}")
+    done = len(study.results) + len(study.failures)
+    click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
+    if not study.finished:
+        click.echo(f"go on with: warpcrete study --resume {study.folder}")
+        raise SystemExit(130)
+    if study.failures:
+        raise SystemExit(1)
+
+
+def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
+    hints = get_type_hints(module.scene, include_extras=True)
+    known = inspect.signature(module.scene).parameters
+    found: dict[str, list[Any]] = {}
+    for option, words in options.items():
+        negative = option.startswith("no-") and option[3:].replace("-", "_") in known
+        name = (option[3:] if negative else option).replace("-", "_")
+        if name not in known:
+            raise click.UsageError(
+                f"--{option}: is no parameter of this scene; 'warpcrete run SCENE --help' lists them"
+            )
+        kind = kind_and_help(hints[name])[0]
+        if negative and (words or kind is not bool):
+            raise click.UsageError(f"--{option}: takes no value")
+        if kind is bool:
+            words = words or ["false" if negative else "true"]
+        if not words:
+            raise click.UsageError(f"--{option}: needs a value or several")
+        found[name] = [_converted(option, word, kind) for word in words]
+    return found
+
+
+def _converted(name: str, word: str, kind: Any) -> Any:
+    if kind is bool:
+        if word.lower() not in ("true", "false", "yes", "no", "1", "0"):
+            raise click.UsageError(f"--{name} {word!r}: must be true or false")
+        return word.lower() in ("true", "yes", "1")
+    try:
+        return kind(word)
+    except ValueError:
+        words = {float: "a number", int: "a whole number"}.get(kind, kind.__name__)
+        raise click.UsageError(f"--{name} {word!r}: must be {words}") from None

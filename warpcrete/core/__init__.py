@@ -1,0 +1,1 @@
+"""What any method needs: errors, units, devices, parameters, launching, the run loop, files, provenance."""

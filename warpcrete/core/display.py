@@ -1,0 +1,171 @@
+"""What recorders draw of a run, whatever its method: bodies, walls, curves, a place for the eye."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from .errors import one_of
+
+Colour = tuple[int, int, int, int]
+"""Red, green, blue and opacity, 0 to 255."""
+GLASS: Colour = (150, 165, 180, 22)
+PISTON: Colour = (190, 110, 60, 255)
+OTHER: Colour = (150, 165, 180, 120)
+
+
+@dataclass(frozen=True)
+class DrawnWall:
+    """A wall as a triangle mesh in its own frame."""
+
+    name: str
+    vertices: np.ndarray
+    """[m], shape (v, 3)."""
+    faces: np.ndarray
+    """Shape (f, 3)."""
+    moves: bool
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """Shape that several bodies have, at unit size."""
+
+    name: str
+    offsets: np.ndarray
+    """Of its spheres' centres, shape (k, 3)."""
+    radii: np.ndarray
+    """Shape (k,)."""
+    extent: float
+    """Largest distance of its surface from the centroid."""
+
+
+@dataclass(frozen=True)
+class RigidBodies:
+    """Bodies that share a few shapes, in order of their permanent numbers."""
+
+    prototypes: tuple[Prototype, ...]
+    prototype: np.ndarray
+    """Of each body, shape (n,)."""
+    sizes: np.ndarray
+    """[m], shape (n,)."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where rigid bodies are, in order of their permanent numbers."""
+
+    positions: np.ndarray
+    """[m], shape (n, 3)."""
+    orientations: np.ndarray
+    """Unit quaternions x, y, z, w, shape (n, 4)."""
+    velocities: np.ndarray
+    """[m/s], shape (n, 3)."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line over time."""
+
+    name: str
+    """Of its path below the plot's."""
+    label: str
+    """With the unit."""
+    value: Callable[[dict[str, float]], float | None]
+    """Of a row of the series; None draws nothing."""
+    colour: tuple[int, int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over one another."""
+
+    path: str
+    title: str
+    curves: tuple[Curve, ...]
+
+
+class Display(ABC):
+    """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`."""
+
+    colourings: ClassVar[tuple[str, ...]]
+    noun: ClassVar[str]
+    """What the bodies are called; recordings have them under this word."""
+    has_network: ClassVar[bool] = False
+    """There are lines between bodies to be drawn."""
+
+    def __init__(self, simulation: Any, colouring: str) -> None:
+        one_of("colour", colouring, self.colourings)
+        self.simulation, self.colouring = simulation, colouring
+
+    @abstractmethod
+    def radii(self) -> np.ndarray:
+        """Of all spheres [m], shape (n,); they do not change."""
+
+    @abstractmethod
+    def centres(self) -> np.ndarray:
+        """Of all spheres [m], shape (n, 3)."""
+
+    @abstractmethod
+    def colours(self) -> np.ndarray:
+        """RGB bytes of all spheres, shape (n, 3)."""
+
+    @abstractmethod
+    def plots(self) -> tuple[Plot, ...]:
+        """Curves beside the scene."""
+
+    @abstractmethod
+    def walls(self) -> list[DrawnWall]:
+        """Walls that can be drawn."""
+
+    @abstractmethod
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
+
+    direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
+    """From what there is to see to the eye."""
+
+    def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
+        return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+
+    def rigid_bodies(self) -> RigidBodies | None:
+        """Shapes of the bodies; None where bodies are single particles."""
+        return None
+
+    def pose(self) -> Pose:
+        """Where rigid bodies are."""
+        raise TypeError(f"{type(self).__name__} draws no rigid bodies")
+
+    def body_colours(self) -> np.ndarray:
+        """RGB bytes of all bodies, shape (n, 3)."""
+        return self.colours()
+
+    def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
+        """Lines between bodies by name: ends [m], shape (n, 2, 3), and their colour."""
+        return {}
+
+    def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
+        """A place for the eye and the point to look at, both (3,) [m]: from one side, `distance` sizes away."""
+        lower, upper = self.bounds()
+        centre = 0.5 * (lower + upper)
+        size = max(float(np.linalg.norm(upper - lower)), 0.1)
+        return centre + distance * size * np.array(self.direction), centre
+
+
+def on_palette(values: np.ndarray, upper: float, lower: float = 0.0) -> np.ndarray:
+    """RGB bytes (n, 3) of values from `lower` to `upper`, on matplotlib's perceptually even viridis map."""
+    scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
+    return _palette()[(255 * scaled).astype(int)]
+
+
+@functools.cache
+def _palette() -> np.ndarray:
+    from matplotlib import colormaps
+
+    return (255 * colormaps["viridis"](np.arange(256))[:, :3]).astype(np.uint8)

@@ -1,0 +1,184 @@
+"""How kernels are launched: recorded once, replayed by graphs of several steps, on a CPU by a thread for each chunk.
+
+Arguments are bound to a kernel's parameters by name, never by place.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import warp as wp
+
+from ..kernels.common.barrier import GATE, barrier
+from .device import parallel
+from .interrupts import put_off
+
+Size = int | tuple[int, ...]
+"""Tasks of a launch, in one dimension or several."""
+
+
+def tasks_of(dim: Size) -> int:
+    """Tasks of a launch in all."""
+    return dim if isinstance(dim, int) else math.prod(dim)
+
+
+def block_size(dim: Size) -> int:
+    """Threads of a CUDA block: small blocks where there are few, so that all multiprocessors have some."""
+    return 64 if tasks_of(dim) < 200_000 else 256
+
+
+def parameter_names(kernel: Any) -> list[str]:
+    """Names of a kernel's parameters, in their order."""
+    return [argument.label for argument in kernel.adj.args]
+
+
+def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
+    """Arguments in the order of the kernel's parameters; raises TypeError unless there is just one for each."""
+    names = parameter_names(kernel)
+    missing, strange = [n for n in names if n not in named], sorted(set(named) - set(names))
+    if missing or strange:
+        raise TypeError(f"kernel {kernel.key}: missing {missing}, not among its parameters {strange}")
+    return [named[name] for name in names]
+
+
+def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
+    """Launch once, arguments by name."""
+    if tasks_of(dim):
+        wp.launch(kernel, dim=dim, inputs=bound(kernel, named), device=device)
+
+
+class Stage:
+    """One kernel launch, recorded once and replayed until an array of its changes."""
+
+    def __init__(
+        self, kernel: Any, dim: Size, named: Mapping[str, Any], device: Any, *, block: int | None = None
+    ) -> None:
+        self.kernel, self.dim, self.device = kernel, dim, device
+        self.arguments = bound(kernel, named)
+        self.block = (block or block_size(dim)) if parallel(device) else 1
+        self._command: Any = None
+
+    @property
+    def name(self) -> str:
+        """The kernel function's."""
+        return self.kernel.func.__name__
+
+    def load(self) -> None:
+        """Compile the kernel, or read it from the cache."""
+        wp.load_module(self.kernel.module, device=self.device, block_dim=self.block)
+
+    def record(self) -> None:
+        """Make ready, kernel loaded; nothing runs."""
+        if self._command is None and tasks_of(self.dim):
+            self._command = wp.launch(
+                self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
+                block_dim=self.block,
+            )  # fmt: skip
+
+    def __call__(self) -> None:
+        if tasks_of(self.dim):
+            self.record()
+            self._command.launch()
+
+
+class Loop:
+    """Stages that repeat on the device while a flag is set (inside a graph)."""
+
+    def __init__(self, condition: wp.array, body: list[Stage]) -> None:
+        self.condition, self.body = condition, body
+
+    def load(self) -> None:
+        """Compile the kernels of all stages, or read them from the cache."""
+        for stage in self.body:
+            stage.load()
+
+    def __call__(self) -> None:
+        for stage in self.body:
+            stage.record()
+        wp.capture_while(self.condition, self._once)
+
+    def _once(self) -> None:
+        for stage in self.body:
+            stage()
+
+
+Step = list[list[Any]]
+"""Stages and loops of one step, a list for each thread."""
+
+
+def graph_sizes(count: int, largest: int) -> list[int]:
+    """Graphs, each of a power of two steps up to `largest`, that make `count` steps together."""
+    rest = [1 << bit for bit in reversed(range(largest.bit_length())) if count % largest >> bit & 1]
+    return [largest] * (count // largest) + rest
+
+
+def barrier_stage(threads: int, device: Any) -> list[Stage]:
+    """What a thread does to wait for the others; nothing if it is alone."""
+    if threads == 1:
+        return []
+    gate = wp.zeros(GATE, dtype=wp.int32, device=device)
+    return [Stage(barrier, 1, {"gate": gate, "parties": threads}, device)]
+
+
+class Launcher:
+    """Replays graphs of so many steps each, with as many threads as a step has lists of stages."""
+
+    def __init__(self, threads: int, device: Any) -> None:
+        self.threads, self.device = threads, device
+        self._graphs: dict[int, list[Any]] = {}
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        if self._pool is not None:
+            weakref.finalize(self, self._pool.shutdown, wait=False)
+
+    def invalidate_graphs(self) -> None:
+        """Forget the graphs: they hold arrays or chunks that are no more."""
+        self._graphs.clear()
+
+    def replay(self, step: Step, sizes: list[int], ended: Callable[[], bool]) -> None:
+        """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle."""
+        for size in set(sizes) - set(self._graphs):
+            self._graphs[size] = self._capture(step, size)
+
+        def run(part: int) -> None:
+            for size in sizes:
+                wp.capture_launch(self._graphs[size][part])
+                # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
+                if not parallel(self.device) and ended():
+                    return
+
+        self._together([lambda part=part: run(part) for part in range(self.threads)])
+
+    def apart(self, stages: list[Stage]) -> None:
+        """Launch stages that chunks have apart, each on a thread of its own."""
+        for stage in stages:
+            stage.record()
+        self._together(stages)
+
+    def _together(self, calls: list[Callable[[], None]]) -> None:
+        if self._pool is None:
+            for call in calls:
+                call()
+            return
+        # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
+        # reads again.
+        with put_off():
+            running = [self._pool.submit(call) for call in calls]
+            wait(running)
+        for one in running:
+            one.result()
+
+    def _capture(self, step: Step, size: int) -> list[Any]:
+        for stage in {id(s): s for part in step for s in part}.values():
+            stage.load()
+        graphs = []
+        for part in step:
+            with wp.ScopedCapture(device=self.device) as capture:
+                for _ in range(size):
+                    for stage in part:
+                        stage()
+            graphs.append(capture.graph)
+        return graphs

@@ -1,0 +1,243 @@
+"""Declared parameters: fields of dataclasses that say what they are, and are checked by what they say.
+
+A field is annotated as `Annotated[type, help, rule, ...]` or `Annotated[type | None, help, rule, ...]`; its unit stands
+in brackets in the help text. From such fields come the checks of a dataclass (:class:`Declared`), the keywords of a
+scene function (:func:`scene_function`) and the options of the command.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import math
+import re
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from .errors import SceneError, refuse
+
+WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
+
+P = ParamSpec("P")
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Above:
+    """A finite number above `lower`."""
+
+    lower: float = 0.0
+    hint: str = ""
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        if not math.isfinite(value) or value <= self.lower:
+            refuse(name, value, f"must be a finite number above {self.lower:g}{unit}", self.hint)
+
+
+@dataclass(frozen=True)
+class Within:
+    """A finite number in [lower, upper]."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    hint: str = ""
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        if math.isfinite(value) and self.lower <= value <= self.upper:
+            return
+        span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
+        if math.isfinite(self.lower) and not math.isfinite(self.upper):
+            span = f"finite and at least {self.lower:g}"
+        refuse(name, value, f"must be {span}{unit}", self.hint)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of some words or numbers."""
+
+    choices: tuple[Any, ...]
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        if value not in self.choices:
+            refuse(name, value, f"must be one of {', '.join(map(str, self.choices))}")
+
+
+@dataclass(frozen=True)
+class Needs:
+    """A parameter that means nothing unless `test` holds for the value of another one, `field`."""
+
+    field: str
+    test: Callable[[Any], bool]
+    words: str
+    """What the other one must be, to follow its name."""
+
+
+@dataclass(frozen=True)
+class Alias:
+    """Another name by which a parameter is known; `convert` makes its value of the other's."""
+
+    name: str
+    convert: Callable[[Any], Any] | None = None
+
+
+@dataclass(frozen=True)
+class Field:
+    """What the annotation of a field says."""
+
+    name: str
+    kind: Any
+    optional: bool
+    """None is allowed."""
+    help: str
+    rules: tuple[Any, ...]
+    default: Any
+    """`dataclasses.MISSING` where there is none."""
+    group: str
+    """First line of the docstring of the class that declares the field."""
+
+    @property
+    def unit(self) -> str:
+        """What stands in brackets in the help text."""
+        found = re.search(r"\[([^\]]+)\]", self.help)
+        return f" {found.group(1)}" if found else ""
+
+    def of_kind(self, kind: type[T]) -> Iterator[T]:
+        """Rules of one kind."""
+        return (rule for rule in self.rules if isinstance(rule, kind))
+
+    def converted(self, value: Any, name: str) -> Any:
+        """`value` as the field's type (NumPy numbers become Python's, ints floats), or :class:`SceneError`."""
+        if isinstance(value, np.generic):
+            value = value.item()
+        if value is None and self.optional:
+            return None
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            return float(value)
+        if self.kind is str and hasattr(value, "__fspath__"):
+            return str(value)
+        if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
+            words = WORDS.get(self.kind, f"a {self.kind.__name__}")
+            refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+        return value
+
+    def check(self, value: Any, name: str) -> None:
+        """Raise :class:`SceneError` where a rule is broken."""
+        if value is not None:
+            for rule in self.rules:
+                if isinstance(rule, Above | Within | OneOf):
+                    rule.check(name, value, self.unit)
+
+
+@functools.cache
+def declared_fields(owner: type) -> dict[str, Field]:
+    """Annotated fields of a dataclass, in the order of its groups (the bases as they are listed) and their lines."""
+    hints = get_type_hints(owner, include_extras=True)
+    own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
+    found: dict[str, Field] = {}
+    defaults = {f.name: f.default for f in dataclasses.fields(owner)}
+    for base in [*own[1:], owner]:
+        group = (inspect.getdoc(base) or "").partition("\n")[0]
+        for name in base.__dict__.get("__annotations__", {}):
+            if name in defaults and hasattr(hints[name], "__metadata__") and name not in found:
+                kind, text, *rules = get_args(hints[name])
+                optional = get_origin(kind) in (Union, types.UnionType)
+                if optional:
+                    kind = next(k for k in get_args(kind) if k is not type(None))
+                found[name] = Field(name, kind, optional, text, tuple(rules), defaults[name], group)
+    return found
+
+
+class Declared:
+    """Base of frozen dataclasses whose annotated fields are converted and checked when one is made."""
+
+    called: ClassVar[str] = ""
+    """What errors put before a field's name."""
+
+    def __post_init__(self) -> None:
+        for name, field in declared_fields(type(self)).items():
+            shown = f"{self.called} {name}".strip()
+            value = field.converted(getattr(self, name), shown)
+            object.__setattr__(self, name, value)
+            field.check(value, shown)
+
+    def check_needed(self) -> None:
+        """Refuse parameters that differ from their defaults where they mean nothing."""
+        for name, field in declared_fields(type(self)).items():
+            for rule in field.of_kind(Needs):
+                if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
+                    refuse(name, getattr(self, name), f"means nothing unless {rule.field} {rule.words}",
+                           f"leave it out, or change {rule.field}")  # fmt: skip
+
+
+class SceneFunction(Generic[P, S]):
+    """A function of keywords, which are the fields of `parameters`; see :func:`scene_function`."""
+
+    def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
+        self.parameters, self._build = parameters, build
+        self.__doc__ = build.__doc__
+        self.__name__ = getattr(build, "__name__", "scene")
+        kind = inspect.Parameter.KEYWORD_ONLY
+        self.__signature__ = inspect.Signature(
+            [
+                inspect.Parameter(f.name, kind, default=f.default, annotation=f.kind | None if f.optional else f.kind)
+                for f in declared_fields(parameters).values()
+            ]
+        )
+
+    def __call__(self, *args: P.args, **given: P.kwargs) -> S:
+        known = declared_fields(self.parameters)
+        if args:
+            refuse("parameters", args, "must be given by name", f"known are {', '.join(known)}")
+        values = self.resolved(given)
+        for name in values:
+            if name not in known:
+                refuse("parameters", sorted(given), f"got an unexpected keyword argument {name!r}",
+                       f"known are {', '.join(known)}")  # fmt: skip
+        parameters = self.parameters(**values)
+        parameters.check_needed()
+        return self._build(parameters)
+
+    def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters by their own names, without those that mean nothing beside the others."""
+        values = self.resolved(given)
+        known = declared_fields(self.parameters)
+
+        def meant(name: str) -> bool:
+            rules = known[name].of_kind(Needs) if name in known else iter(())
+            return all(rule.test(values.get(rule.field, known[rule.field].default)) for rule in rules)
+
+        return {name: value for name, value in values.items() if meant(name)}
+
+    def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters by their own names, where some are given by another one."""
+        values: dict[str, Any] = dict(given)
+        for name, field in declared_fields(self.parameters).items():
+            for alias in field.of_kind(Alias):
+                if alias.name in values:
+                    value = values.pop(alias.name)
+                    if name in values:
+                        refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one")
+                    try:
+                        values[name] = alias.convert(value) if alias.convert and value is not None else value
+                    except TypeError as error:
+                        raise SceneError(f"{alias.name} = {value!r}: {error}") from error
+        return values
+
+
+def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
+    """Decorator: a function of one argument, a :class:`Declared` dataclass, becomes one of that dataclass' fields.
+
+    The result takes them as keywords, knows their aliases, refuses what is of another type than declared, out of its
+    range or without meaning beside the others, and keeps the dataclass as `.parameters`.
+    """
+
+    def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:
+        return SceneFunction(parameters, build)  # type: ignore[arg-type]
+
+    return decorate

@@ -1,0 +1,399 @@
+"""What every run goes through, whatever its method: samples, frames, checkpoints, interruptions, recorders.
+
+A method brings a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
+"""
+
+from __future__ import annotations
+
+import time as wall_clock
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from . import checkpoint
+from .device import checked_threads, find_device, scalar_of
+from .display import Display
+from .errors import RunFolderError, WarpcreteError, between, positive, refuse
+from .progress import ProgressBar
+
+Progress = Callable[[str, float, dict[str, Any]], None]
+"""Called with the phase (`packing`, `settling`, `running`), the fraction done and a few current figures."""
+
+
+@dataclass(frozen=True)
+class Until:
+    """Where a run wants to be before it goes on: at the end of the step that reaches `time` [s]."""
+
+    time: float
+
+
+Coroutine = Generator[Any, None, Any]
+"""A run, or a part of one, that says at each `yield` where it wants to be and goes on when it is there.
+
+So whoever drives it may take the steps of many runs together."""
+
+
+class Recorder:
+    """Where a run goes; subclasses override what they need.
+
+    Methods are called in this order; `finish` also after an interruption or an error.
+    """
+
+    def start(self, simulation: Any) -> None:
+        """The run is about to begin."""
+
+    def resume(self, simulation: Any, state: dict[str, Any]) -> None:
+        """Instead of `start`, when a run goes on from the checkpoint at which `checkpoint` returned `state`.
+
+        Whatever was recorded after it must go.
+        """
+        self.start(simulation)
+
+    def sample(self, simulation: Any, row: dict[str, float]) -> None:
+        """A row of the series."""
+
+    def frame(self, simulation: Any) -> None:
+        """A picture is due."""
+
+    def checkpoint(self, simulation: Any) -> dict[str, Any]:
+        """Put on disk what is there so far; returns what `resume` will need."""
+        return {}
+
+    def finish(self, simulation: Any, run: Run) -> None:
+        """The run has ended: put everything on disk. The last recorder finishes first."""
+
+    def tidy(self, simulation: Any, run: Run) -> None:
+        """The run is complete and its checkpoint gone: what only a resumed run needs may go."""
+
+
+@dataclass(repr=False)
+class Run:
+    """A finished (or interrupted) run."""
+
+    scene: Any
+    series: dict[str, np.ndarray]
+    """One array a column, one entry a sample."""
+    units: dict[str, str]
+    """Unit of each column."""
+    result: dict[str, Any]
+    """Quantities of the whole run: those with a unit are `{"value", "unit"}`, pure numbers stand plain."""
+    finished: bool
+    interrupted: bool = False
+    """Cut at once by an interruption (Ctrl-C), not at a sample."""
+    folder: Path | None = None
+
+    def __repr__(self) -> str:
+        ended = "finished" if self.finished else "not finished"
+        time = self.result.get("simulated_time", {}).get("value", 0.0)
+        where = f", folder '{self.folder}'" if self.folder else ""
+        count = len(next(iter(self.series.values()), ()))
+        return (
+            f"<{type(self).__name__} of scene {self.scene.name!r}: {ended}, {time:.4g} s, {count} samples of "
+            f"{len(self.series)} columns{where}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Its quantities as a table, for notebooks."""
+        rows = []
+        for name, entry in self.result.items():
+            if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
+                rows.append(f"<tr><td>{name}</td><td>{entry['value']:.6g} {entry['unit']}</td></tr>")
+            elif isinstance(entry, bool | int | float | str):
+                text = f"{entry:.6g}" if isinstance(entry, float) else entry
+                rows.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
+        return f"<table>{''.join(rows)}</table>"
+
+
+class Simulation(ABC):
+    """A scene on a device, with recorders, from t = 0 to its end. The scene's type says by which method.
+
+    Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
+    `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
+    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames;
+    `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
+    `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
+    Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
+    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
+    """
+
+    scene_type: ClassVar[type]
+    """Of the scenes that a subclass takes."""
+    kinds: ClassVar[list[type[Simulation]]] = []
+    """Subclasses, one for each method."""
+    stepper: Any
+    """Has `time` [s], `steps`, and `advance(until)`, which steps to a time [s]."""
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        if "scene_type" in cls.__dict__:
+            Simulation.kinds.append(cls)
+
+    def __new__(cls, scene: Any, **settings: Any) -> Simulation:
+        if cls is Simulation:
+            cls = next((kind for kind in Simulation.kinds if isinstance(scene, kind.scene_type)), cls)
+        wanted = getattr(cls, "scene_type", None)
+        if wanted is None or not isinstance(scene, wanted):
+            known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
+            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}",
+                   "warpcrete.Simulation takes both" if wanted else "warpcrete.scenes has functions that make some")  # fmt: skip
+        return super().__new__(cls)
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        device: str | None = None,
+        precision: str | None = None,
+        threads: int | None = None,
+        recorders: Sequence[Recorder] = (),
+        frame_interval: float = 0.04,
+        progress: Progress | bool = False,
+        checkpoint_path: Path | None = None,
+        checkpoint_every: float = 60.0,
+    ) -> None:
+        positive("frame_interval", frame_interval, "s")
+        between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
+        self.scene = scene
+        self.device = find_device(device)
+        self.precision = precision or scene.precision
+        scalar_of(self.precision)
+        self.threads = checked_threads(threads)
+        self.recorders = list(recorders)
+        self.frame_interval = frame_interval
+        self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
+        self.stop_requested = False
+        self.finishing = False
+        self._progress: Progress = (
+            ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
+        )
+        self._spent: dict[str, float] = {}
+        self._ran = False
+        self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
+        self._samples = 0  # rows after the one at t = 0
+        self._next_frame = frame_interval
+        self._resumed: dict[str, Any] | None = None
+        self.set_up()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
+
+    # What a method brings.
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """What the method makes of the scene at once; refuses what cannot be simulated."""
+
+    @property
+    @abstractmethod
+    def prepared(self) -> bool:
+        """The state at t = 0, or that of a checkpoint, is there."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Everything up to t = 0."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far."""
+
+    @abstractmethod
+    def unit(self, column: str) -> str:
+        """Unit of a column of the series."""
+
+    @abstractmethod
+    def measure(self) -> dict[str, float]:
+        """Measure, and append the row to `rows`."""
+
+    @abstractmethod
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+
+    @abstractmethod
+    def display(self, colouring: str) -> Display:
+        """What recorders draw."""
+
+    @abstractmethod
+    def result(self, finished: bool) -> Run:
+        """The run as it is now, with its quantities."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps besides what this class keeps."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`, in place of `prepare`."""
+
+    @abstractmethod
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of the whole run, at most [s]."""
+        return self.scene.duration
+
+    def ended_early(self) -> bool:
+        """The run may end before its duration."""
+        return False
+
+    # Checkpoints.
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint of the state as it is now, recorders included."""
+        contents = self.state_dict()
+        contents["run"] = {
+            "recorders": {_kind(r): r.checkpoint(self) for r in self.recorders} if self._ran else {},
+            "samples": self._samples,
+            "next_frame": self._next_frame,
+            "spent": self._spent | {"running": self._running()},
+        }
+        checkpoint.write(path, self.scene, self.device, self.precision, contents)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
+
+        The run then holds the same bits as one that was never cut. Raises :class:`RunFolderError` for a file that
+        is no whole checkpoint of this simulation.
+        """
+        self.load_state_dict(self.read_checkpoint(path))
+
+    def read_checkpoint(self, path: Path) -> dict[str, Any]:
+        """The `state_dict` of a checkpoint; clocks go on from there."""
+        contents = checkpoint.read(path, self.scene, self.device, self.precision)
+        self._resumed = contents["run"]
+        self._samples, self._next_frame = self._resumed["samples"], self._resumed["next_frame"]
+        self._spent = self._resumed["spent"]
+        self._ran_before = self._spent["running"]
+        return contents
+
+    # The run.
+
+    def run(self) -> Run:
+        """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
+        if self._ran:
+            raise WarpcreteError("this simulation has run; make a new Simulation for another run")
+        if not self.prepared:
+            self.prepare()
+        return carry(self.running(), self.stepper.advance)
+
+    def running(self) -> Coroutine:
+        """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
+        self._ran = True
+        self._started = wall_clock.perf_counter()
+        begun: list[Recorder] = []
+        finished = interrupted = False
+        try:
+            try:
+                for recorder in self.recorders:
+                    begun.append(recorder)
+                    state = (self._resumed or {}).get("recorders", {}).get(_kind(recorder))
+                    if state is None:
+                        recorder.start(self)
+                    else:
+                        recorder.resume(self, state)
+                finished = yield from self._loop()
+            except KeyboardInterrupt:
+                interrupted = True
+        finally:
+            self._spent["running"] = self._running()
+            self.finishing = True
+            run = self.result(finished)
+            run.interrupted = interrupted
+            failures = []
+            for recorder in reversed(begun):
+                try:
+                    recorder.finish(self, run)
+                except Exception as error:  # one broken output must not cost the others
+                    failures.append(error)
+            if finished and not failures:
+                if self.checkpoint_path is not None:
+                    checkpoint.remove(self.checkpoint_path)
+                for recorder in begun:
+                    recorder.tidy(self, run)
+            if isinstance(self._progress, ProgressBar):
+                self._progress.close()
+        if failures:
+            raise failures[0]
+        return run
+
+    def _loop(self) -> Coroutine:
+        interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
+        if not self.rows:
+            self._sample()
+            for recorder in self.recorders:
+                recorder.frame(self)
+            self._checkpoint()
+        else:
+            self._saved = wall_clock.perf_counter()
+        samples = max(1, int(np.ceil(duration / interval - 1e-9)))
+        for number in range(self._samples + 1, samples + 1):
+            if self.stop_requested:
+                self._checkpoint()
+                return False
+            yield Until(min(number * interval, duration))
+            self._samples = number
+            row = self._sample()
+            ended = self.ended_early()
+            if stepper.time >= self._next_frame - 1e-9 or number == samples or ended:
+                for recorder in self.recorders:
+                    recorder.frame(self)
+                self._next_frame = self.frame_interval * (np.floor(stepper.time / self.frame_interval + 1e-9) + 1)
+            if ended:
+                return True
+            if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
+                self._checkpoint()
+            self.tell(
+                "running",
+                number / samples,
+                steps_per_s=stepper.steps / max(self._running(), 1e-9),
+                **({"pressure": row["pressure"]} if "pressure" in row else {}),
+            )
+        return True
+
+    def _sample(self) -> dict[str, float]:
+        row = self.measure()
+        for recorder in self.recorders:
+            recorder.sample(self, row)
+        self.watch_row(row)
+        return row
+
+    def _checkpoint(self) -> None:
+        if self.checkpoint_path is not None:
+            try:
+                self.save(self.checkpoint_path)
+            except (OSError, RunFolderError) as error:  # a full disk must not end the run; the one before is still there
+                warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
+        self._saved = wall_clock.perf_counter()
+
+    def _running(self) -> float:
+        return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
+
+    def tell(self, phase: str, fraction: float, **figures: Any) -> None:
+        """Report progress."""
+        self._progress(phase, fraction, figures)
+
+
+def carry(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
+    """Drive a coroutine that wants to be at times only; what it returns. Errors on the way are raised inside it."""
+    try:
+        goal = next(coroutine)
+        while True:
+            try:
+                advance(goal.time)
+            except BaseException as error:
+                goal = coroutine.throw(error)
+            else:
+                goal = next(coroutine)
+    except StopIteration as end:
+        return end.value
+
+
+def _kind(recorder: Recorder) -> str:
+    return type(recorder).__name__

@@ -1,0 +1,1 @@
+"""Discrete elements: rigid aggregates whose contacts stand for the mortar between them."""

@@ -1,0 +1,383 @@
+"""A batch: the arrays of one or many scenes joined end to end, and the launches that carry them all forward.
+
+Scenes of a batch share kernels and launches and nothing else: each has its own parameters, walls, clock, flags and
+lists. A scene whose lists no longer cover every possible contact, whose goal is reached or which has failed halts
+itself on the device: every kernel passes it by. So no contact is missed however many steps are in flight, a
+finished scene costs nothing, and a scene alone and in a batch holds the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device import parallel
+from ..core.errors import CapacityError, refuse
+from ..core.launching import Launcher, Size, Stage, graph_sizes, parameter_names
+from ..geometry.surfaces import Surfaces
+from ..geometry.walls import MeshWall
+from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
+from ..kernels.common.walls import FIXED, MESH
+from ..kernels.dem.motion import sync_kernel
+from ..kernels.dem.structs import array_structs, scene_struct
+from .model import Model
+from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+
+MOST_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
+LARGEST_GRAPH = {"cpu": 8, "cuda": 64}
+"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
+CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
+BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
+
+
+def batch_key(model: Model) -> tuple:
+    """Scenes with equal keys can share a batch."""
+    return model.features, model.analytic_walls, model.scalar, str(model.device)
+
+
+class Batch:
+    """Scenes with the same features on one device; the arrays of `states[s]` become slices of the joint ones.
+
+    `threads` (CPU only, one scene only) splits every stage into as many chunks of neighbouring bodies.
+    """
+
+    flags: wp.array
+    """Of all scenes, as that of a :class:`State`."""
+    scenes: Any
+    """Joint arrays of all scenes, as those of a :class:`State`: structs of `kernels/dem/structs.py`."""
+    bodies: Any
+    spheres: Any
+    slots: Any
+    pairs: Any
+    candidates: Any
+    walls: Any
+    surfaces: Any
+    """Triangles of all mesh walls, a struct `Surfaces`."""
+    pair_parameters: wp.array
+    """Of all scenes, as those of a :class:`Model`, this and the next six."""
+    wall_parameters: wp.array
+    bond_parameters: wp.array
+    segments: wp.array
+    drive_axis: wp.array
+    drive_force: wp.array
+    rows: np.ndarray
+    """Host copy of `scenes.row`."""
+    slot_scene: wp.array
+    """Scene of every entry of `pairs.start`, shape (spheres + scenes,)."""
+
+    def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
+        model = models[0]
+        if len({batch_key(m) for m in models}) > 1:
+            refuse("batch", len(models), "scenes of a batch must need the same features")
+        self.models, self.states = models, states
+        for s, state in enumerate(states):
+            state.batch, state.index = self, s
+        self.features, self.scalar, self.device = model.features, model.scalar, model.device
+        self.parallel = parallel(self.device)
+        self.count = len(models)
+        self.body_count = sum(s.body_count for s in states)
+        self.sphere_count = sum(s.sphere_count for s in states)
+        self.wall_count = sum(len(m.walls) for m in models)
+        if self.parallel or self.count > 1:
+            threads = 1
+        self.threads = max(1, min(threads, self.body_count // 32))
+        self.structs = array_structs(self.scalar)
+        self.capacity = np.array([len(s.pairs.other) for s in states])
+        """Entries that there is room for in the pair arrays, of each scene."""
+        self.face_capacity = np.array([len(s.candidates.face) for s in states])
+        """Likewise of the mesh candidates."""
+        self._join_states()
+        self._join_models()
+        self._place_pairs()
+        self._launcher = Launcher(self.threads, self.device)
+        self.version = 0
+        """Of the recorded launches: another number means that arrays or chunks have changed."""
+        self._chunks: tuple[int, ...] = ()
+        self.rechunked: set[int] = set()
+        """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
+        self._since_build = 0
+        self._between_builds = 64
+        self.goals = np.zeros(self.count, dtype=int)
+        self._flags: np.ndarray | None = None
+        self._clock: np.ndarray | None = None
+        self._unsent = False
+        self._step: list[list[Any]] | None = None
+        self._sync: Stage | None = None
+        self.split()
+
+    # What a scene of the batch is made of.
+
+    def _join_states(self) -> None:
+        """Joint arrays; those of the states become slices of them. What only a batch has begins as zero."""
+        for struct in STRUCTS:
+            setattr(self, struct, getattr(self.structs, struct.capitalize())())
+        for struct, names in state_fields(self.structs).items():
+            for name in names:
+                joint = self._join([getattr(state, struct) for state in self.states], name)
+                setattr(getattr(self, struct), name, joint)
+        self.flags = self._join(self.states, "flags")
+        n = self.sphere_count
+        counts = [s.sphere_count for s in self.states]
+        vec4 = self.structs.Spheres.vars["clear"].type.dtype
+        self.spheres.scene = self._numbers(counts)
+        self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
+        self.bodies.scene = self._numbers([s.body_count for s in self.states])
+        self.slot_scene = self._numbers([n + 1 for n in counts])
+
+    def _join(self, parts: list[Any], name: str) -> wp.array:
+        """One array of those that the parts have under a name; theirs become slices of it."""
+        arrays = [getattr(part, name) for part in parts]
+        if len(arrays) == 1:
+            return arrays[0]
+        joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
+        first = 0
+        for part, array in zip(parts, arrays):
+            if len(array):
+                view = joint[first : first + len(array)]
+                if array.size:
+                    wp.copy(view, array)
+                setattr(part, name, view)
+                first += len(array)
+        return joint
+
+    def _join_models(self) -> None:
+        models = self.models
+        self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
+        segments = [m.segments.numpy() for m in models]
+        first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
+        tables, drives, surfaces = [], [], Surfaces()
+        first = dict.fromkeys(("bodies", "spheres", "walls", "laws", "bonds", "groups"), 0)
+        for s, (model, state) in enumerate(zip(models, self.states)):
+            for name, value in first.items():
+                self.rows[name][s] = value
+            table = model.wall_table.numpy().copy()[: len(model.walls)]
+            table["first"] += first_segment[s]
+            table["last"] += first_segment[s]
+            for w, wall in enumerate(model.walls):
+                if isinstance(wall, MeshWall):
+                    assert table["kind"][w] == int(MESH)
+                    table["first_face"][w] = surfaces.add(wall.vertices, wall.faces, first["walls"] + w)
+            tables.append(table)
+            drives.append(model.drive_axis.numpy() + first_segment[s])
+            self._describe(s, model, state, still=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED))))
+            first["bodies"] += state.body_count
+            first["spheres"] += state.sphere_count
+            first["walls"] += len(model.walls)
+            first["laws"] += len(model.pair_parameters)
+            first["bonds"] += len(model.bond_parameters)
+            first["groups"] += len(model.groups)
+        for name in ("pair_parameters", "wall_parameters", "bond_parameters", "drive_force", "segments"):
+            setattr(self, name, self._chained([getattr(model, name) for model in models]))
+        self.drive_axis = self._array(np.concatenate(drives), wp.int32)
+        self.scenes.row = self._array(self.rows, scene_struct(self.scalar))
+        self.walls.scene = self._numbers([len(m.walls) for m in models])
+        self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
+        self.walls.rest_position = self._chained([m.rest_position for m in models])
+        self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
+        self.surfaces = self.structs.Surfaces()
+        self.surfaces.corners = self._array(surfaces.corners(), self.structs.Surfaces.vars["corners"].type.dtype)
+        self.surfaces.faces = self._array(surfaces.faces(), wp.int32, 2)
+        self.surfaces.across = self._array(surfaces.across(), wp.int32, 2)
+        self.surfaces.ring_start = self._array(surfaces.ring_start(), wp.int32)
+        self.surfaces.ring = self._array(surfaces.ring(), wp.int32)
+        self.surfaces.wall = self._array(surfaces.owner(), wp.int32)
+
+    def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
+        """Numbers of a scene's row that never change."""
+        row = self.rows
+        row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
+        row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
+        row["still"][s] = still
+        row["materials"][s] = len(model.materials)
+        row["gravity"][s] = model.scene.gravity
+        row["speed_limit"][s] = model.scene.watch.speed
+        row["largest_radius"][s] = state.largest_radius
+        row["growth_end"][s] = 1.0
+        row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
+
+    def _chained(self, arrays: list[wp.array]) -> wp.array:
+        """Arrays that never change, end to end."""
+        if len(arrays) == 1:
+            return arrays[0]
+        joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
+        first = 0
+        for array in arrays:
+            if len(array):
+                wp.copy(joint[first : first + len(array)], array)
+                first += len(array)
+        return joint
+
+    def _array(self, values: Any, dtype: Any, dimensions: int = 1) -> wp.array:
+        if len(values) == 0:
+            return wp.zeros((0,) * dimensions, dtype=dtype, device=self.device)
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    def _numbers(self, counts: list[int]) -> wp.array:
+        return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
+
+    def set(self, s: int, **numbers: Any) -> None:
+        """Change numbers of a scene's row."""
+        if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
+            for name, value in numbers.items():
+                self.rows[name][s] = value
+            self.scenes.row.assign(self.rows)
+
+    def _place_pairs(self) -> None:
+        self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])
+        self.rows["candidates"] = np.concatenate([[0], np.cumsum(self.face_capacity)[:-1]])
+        self.scenes.row.assign(self.rows)
+
+    def reserve_pairs(self, wanted: np.ndarray) -> None:
+        """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
+        used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
+        self._regrow("pairs", used, self.capacity, wanted)
+
+    def reserve_faces(self, wanted: np.ndarray) -> None:
+        """Room for at least `wanted` mesh candidates a scene."""
+        self._regrow("candidates", ["face"], self.face_capacity, wanted)
+
+    def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
+        old = np.concatenate([[0], np.cumsum(capacity)])
+        grown = wanted > capacity
+        capacity[grown] = wanted[grown] + wanted[grown] // 4 + 64
+        new = np.concatenate([[0], np.cumsum(capacity)])
+        if new[-1] > MOST_ENTRIES:
+            raise CapacityError(
+                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {MOST_ENTRIES}"
+            )
+        for name in names:
+            before = getattr(getattr(self, struct), name)
+            after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
+            for s, state in enumerate(self.states):
+                kept = int(old[s + 1] - old[s])
+                if kept:
+                    wp.copy(after, before, int(new[s]), int(old[s]), kept)
+                view = after[int(new[s]) : int(new[s + 1])] if self.count > 1 else after
+                setattr(getattr(state, struct), name, view)
+            setattr(getattr(self, struct), name, after)
+        self._place_pairs()
+        self.invalidate_graphs()
+
+    # Chunks of a CPU's threads.
+
+    def split(self) -> None:
+        """Chunks of bodies and spheres that threads own, from the order of the bodies as it is now."""
+        before = self._chunks
+        if self.threads == 1:
+            self.body_chunks = np.array([0, self.body_count])
+            self.sphere_chunks = np.array([0, self.sphere_count])
+        else:
+            first = self.bodies.first.numpy()
+            wanted = self.sphere_count * np.arange(self.threads + 1) // self.threads
+            self.body_chunks = np.searchsorted(first, wanted)
+            self.sphere_chunks = first[self.body_chunks]
+        chunks = [int(c) for c in self.sphere_chunks]
+        for s, state in enumerate(self.states):
+            own = chunks if self.count == 1 else [0, state.sphere_count]
+            if state.chunks != own:
+                self.rechunked.add(s)
+            state.chunks = own
+        self._chunks = (*self.body_chunks.tolist(), *self.sphere_chunks.tolist())
+        if self._chunks != before:
+            self.invalidate_graphs()
+
+    # Launching.
+
+    def stage(self, kernel: Any, dim: Size, **named: Any) -> Stage:
+        """A launch of a kernel; parameters that are not `named` are the batch's attributes of the same names."""
+        for name in parameter_names(kernel):
+            if name not in named:
+                named[name] = getattr(self, name)
+        return Stage(kernel, dim, named, self.device)
+
+    def invalidate_graphs(self) -> None:
+        """Recorded launches hold arrays or chunks that are no more."""
+        self._launcher.invalidate_graphs()
+        self.version += 1
+        self._step = None
+        self._sync = None
+
+    def use_step(self, step: list[list[Any]]) -> None:
+        """Take the stages of one step, a list for each thread; good until `has_step` says otherwise."""
+        self._step = step
+
+    @property
+    def has_step(self) -> bool:
+        """The stages are those of the arrays and chunks as they are now."""
+        return self._step is not None
+
+    def goal(self, s: int, steps: int) -> None:
+        """Let a scene go on until it has completed so many steps."""
+        self.goals[s] = steps
+        row = self.host_flags()[s]
+        row[int(GOAL)] = steps
+        row[int(HALTED)] = int(row[int(STEPS)] >= steps or row[int(STALE)] != 0 or row[int(FAILED)] != 0)
+        self._unsent = True
+
+    def host_flags(self) -> np.ndarray:
+        """All flags as they are on the device; what is changed here goes there with the next launch."""
+        flags = self._flags
+        if flags is None:
+            flags = self._flags = self._read(self.flags)
+        return flags
+
+    def host_clock(self) -> np.ndarray:
+        """All clocks as they are on the device, to read."""
+        clock = self._clock
+        if clock is None:
+            clock = self._clock = self._read(self.scenes.clock)
+        return clock
+
+    def _read(self, array: wp.array) -> np.ndarray:
+        # On a CPU the array itself, which is always up to date.
+        return array.numpy().copy() if self.parallel else array.numpy()
+
+    def device_changed(self) -> None:
+        """Flags or clocks on the device are, or are about to become, others than those read last."""
+        if self.parallel:
+            if self._unsent:
+                self.flags.assign(self._flags)
+            self._flags = self._clock = None
+        self._unsent = False
+
+    def launch(self) -> np.ndarray:
+        """Launch steps until some scene needs looking after; returns a copy of all flags."""
+        assert self._step is not None
+        flags = self.host_flags()
+        left = np.where(flags[:, int(HALTED)] == 0, flags[:, int(GOAL)] - flags[:, int(STEPS)], 0)
+        count = int(left.max(initial=0))
+        if self.count > 1:
+            count = min(count, BATCH_LAUNCH)
+        elif self.parallel:
+            # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
+            expected = self._between_builds - self._since_build
+            count = min(count, expected if expected > 0 else 16)
+        else:
+            count = min(count, CPU_LAUNCH)
+        before = int(flags[0, int(STEPS)])
+        self.device_changed()
+        sizes = graph_sizes(count, LARGEST_GRAPH["cuda" if self.parallel else "cpu"])
+        flags = np.empty((0, 0)) if self.parallel else self.host_flags()
+        self._launcher.replay(self._step, sizes, lambda: bool(flags[:, int(HALTED)].all()))
+        self.sync_bodies()
+        flags = self.host_flags().copy()
+        self._since_build += int(flags[0, int(STEPS)]) - before
+        return flags
+
+    def lists_built(self) -> None:
+        """Lists are new."""
+        self._between_builds = max(self._since_build, 8)
+        self._since_build = 0
+
+    def in_parts(self, stages: list[Stage]) -> None:
+        """Launch stages that chunks have apart, each on a thread of its own."""
+        self._launcher.apart(stages)
+
+    def sync_bodies(self) -> None:
+        """Bring what bodies hold up to date with their spheres, where every body is one."""
+        if not self.features.clumps and self.sphere_count:
+            if self._sync is None:
+                self._sync = self.stage(sync_kernel(self.scalar), self.sphere_count)
+            self._sync()

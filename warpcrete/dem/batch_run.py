@@ -1,0 +1,197 @@
+"""Many simulations as few batches: those with the same features share every launch."""
+
+from __future__ import annotations
+
+import time as wall_clock
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.device import MEMORY_FRACTION, memory_free, parallel
+from ..core.errors import WarpcreteError
+from ..core.provenance import fingerprint
+from ..core.run_loop import Coroutine, Run
+from .batch import batch_key
+from .bodies import BodyTable, placed_bodies
+from .memory import memory_needed
+from .packing import Request, pack_many
+from .scheduling import drive
+from .simulation import ElementSimulation
+from .stepper import Stepper, steppers_of
+
+Outcome = Run | BaseException
+PACKED_TOGETHER = 32
+
+
+def run_batch(
+    simulations: Sequence[ElementSimulation],
+    checkpoints: Sequence[Path | None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> list[Outcome]:
+    """Run simulations on one device, side by side where they share features and fit its memory.
+
+    Returns a :class:`Run`, or the error that ended it, for each. A simulation with a path in `checkpoints` goes on
+    from there. What fails harms no other. After an interruption (Ctrl-C) unfinished runs are returned as such, and
+    `KeyboardInterrupt` for those that had not begun. `progress` is called with a phase and the fraction done.
+    """
+    tell = progress or (lambda phase, fraction: None)
+    checkpoints = checkpoints or [None] * len(simulations)
+    outcomes: dict[int, Outcome] = {}
+    try:
+        new = [s for s, c in zip(simulations, checkpoints) if c is None]
+        packings = _packed(new, lambda fraction: tell("packing", fraction))
+    except KeyboardInterrupt as stop:
+        return [stop] * len(simulations)
+    placed: dict[int, tuple[Any, float]] = {}
+    groups: dict[Any, list[int]] = {}
+    for number, (simulation, path) in enumerate(zip(simulations, checkpoints)):
+        if path is None and simulation.scene.fill is not None:
+            placed[number] = packings[_packing_key(simulation)]
+            if isinstance(placed[number][0], BaseException):
+                outcomes[number] = placed[number][0]
+                continue
+        groups.setdefault((batch_key(simulation.model), simulation.threads), []).append(number)
+    parts = [part for numbers in groups.values() for part in _fitting(simulations, placed, numbers)]
+    for done, numbers in enumerate(parts):
+        part = _Part(simulations, checkpoints, placed, outcomes)
+        try:
+            part.run(numbers)
+        except KeyboardInterrupt:
+            break
+        tell("running", (done + 1) / len(parts))
+        if part.stopped:
+            break
+        if done + 1 < len(parts):
+            part.release()  # the next part needs the memory
+    return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
+
+
+class _Part:
+    """Simulations that share one batch, by their numbers among all."""
+
+    def __init__(
+        self,
+        simulations: Sequence[ElementSimulation],
+        checkpoints: Sequence[Path | None],
+        placed: dict[int, tuple[Any, float]],
+        outcomes: dict[int, Outcome],
+    ) -> None:
+        self.simulations, self.checkpoints, self.placed = simulations, checkpoints, placed
+        self.outcomes = outcomes
+        self.resumed: dict[int, dict[str, Any]] = {}
+        self.stopped = False
+        """Some run was interrupted."""
+        self._members: list[ElementSimulation] = []
+
+    def run(self, numbers: Sequence[int]) -> None:
+        """Run them to their ends, into `outcomes`."""
+        running = [number for number in numbers if self._restore_or_place(number)]
+        self._members = [self.simulations[number] for number in running]
+        if not running:
+            return
+        try:
+            steppers = self._steppers(running)
+        except WarpcreteError as error:
+            self.outcomes |= dict.fromkeys(running, error)
+            self._members = []
+            return
+        scenes = {}
+        for number, stepper in zip(running, steppers):
+            self.simulations[number].join(stepper)
+            scenes[stepper.index] = (stepper, self._whole_run(number))
+        results = drive(scenes)
+        self.outcomes |= {number: results[stepper.index] for number, stepper in zip(running, steppers)}
+        self.stopped = any(
+            isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()
+        )
+
+    def release(self) -> None:
+        """Let go of a GPU's memory."""
+        for member in self._members:
+            if member.device.is_cuda:
+                member.release()
+
+    def _restore_or_place(self, number: int) -> bool:
+        """Give a simulation its state; what is wrong with it is its outcome."""
+        simulation, path = self.simulations[number], self.checkpoints[number]
+        try:
+            if path is not None:
+                self.resumed[number] = simulation.read_checkpoint(path)
+                simulation.restore(self.resumed[number])
+            else:
+                simulation.place(*self.placed.get(number, (None, 0.0)))
+        except WarpcreteError as error:
+            self.outcomes[number] = error
+            return False
+        return True
+
+    def _steppers(self, running: Sequence[int]) -> list[Stepper]:
+        return steppers_of(
+            [m.model for m in self._members],
+            [m.state for m in self._members],
+            time_steps=[m.scene.time_step for m in self._members],
+            resumed=[self.resumed[number]["stepper"] if number in self.resumed else None for number in running],
+            threads=self._members[0].threads,
+        )
+
+    def _whole_run(self, number: int) -> Coroutine:
+        simulation = self.simulations[number]
+        if number in self.resumed:
+            simulation.go_on(self.resumed[number])
+        else:
+            yield from simulation.preparing()
+        return (yield from simulation.running())
+
+
+def _packing_key(simulation: ElementSimulation) -> tuple:
+    """Simulations with equal keys start from the same packing."""
+    scene = simulation.scene
+    return fingerprint(scene.fill), fingerprint(scene.contact), scene.seed, simulation.precision, str(simulation.device)
+
+
+def _packed(
+    simulations: Sequence[ElementSimulation], tell: Callable[[float], None]
+) -> dict[tuple, tuple[Any, float]]:
+    """Every different packing once: what :func:`pack_many` returned for it, and its part of the time it took [s]."""
+    needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
+    kinds: dict[tuple, list[tuple]] = {}
+    for key, s in needed.items():
+        kinds.setdefault((str(s.device), s.precision, s.threads), []).append(key)
+    found: dict[tuple, tuple[Any, float]] = {}
+    for (_, precision, threads), keys in kinds.items():
+        started = wall_clock.perf_counter()
+        requests = [Request(needed[k].scene.fill, needed[k].scene.contact, needed[k].scene.seed) for k in keys]  # type: ignore[arg-type]
+        results: list[Any] = []
+        for first in range(0, len(requests), PACKED_TOGETHER):
+            results += pack_many(
+                requests[first : first + PACKED_TOGETHER],
+                device=needed[keys[0]].device,
+                precision=precision,
+                threads=threads,
+                progress=tell,
+            )
+        took = (wall_clock.perf_counter() - started) / len(keys)
+        found |= {key: (result, took) for key, result in zip(keys, results)}
+    return found
+
+
+def _fitting(
+    simulations: Sequence[ElementSimulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
+) -> list[list[int]]:
+    """Split into batches of which each alone fits the device's memory."""
+    first = simulations[numbers[0]]
+    if not parallel(first.device) and first.threads > 1:
+        return [[number] for number in numbers]  # one after the other, each with all threads
+    room = MEMORY_FRACTION * memory_free(first.device)
+    parts: list[list[int]] = [[]]
+    used = 0.0
+    for number in numbers:
+        simulation = simulations[number]
+        table = placed[number][0][0] if number in placed else BodyTable.empty()
+        needed = memory_needed(simulation.model, table.joined(placed_bodies(simulation.scene)))
+        if parts[-1] and used + needed > room:
+            parts.append([])
+            used = 0.0
+        parts[-1].append(number)
+        used += needed
+    return parts

@@ -1,0 +1,104 @@
+"""Bodies on the host: what a state is made from, and what a run ends with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .clumps import ClumpTemplate, sphere
+from .scene import Scene
+
+
+@dataclass(repr=False)
+class BodyTable:
+    """Bodies on the host, one row each, in order of their permanent numbers."""
+
+    position: np.ndarray
+    """Centroids [m], shape (n, 3)."""
+    orientation: np.ndarray
+    """Unit quaternions x, y, z, w from body to space, shape (n, 4)."""
+    velocity: np.ndarray
+    """[m/s], shape (n, 3)."""
+    spin: np.ndarray
+    """In space [rad/s], shape (n, 3)."""
+    size: np.ndarray
+    """Diameter of the sphere of equal volume [m], shape (n,)."""
+    template: np.ndarray
+    """Index into `templates`, shape (n,)."""
+    density: np.ndarray
+    """[kg/m3], shape (n,)."""
+    material: list[str]
+    group: list[str]
+    templates: tuple[ClumpTemplate, ...]
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+    def __repr__(self) -> str:
+        return f"<BodyTable of {len(self)} bodies of {len(self.templates)} shapes>"
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Volume of each body [m3], shape (n,)."""
+        return np.pi / 6 * self.size**3
+
+    @property
+    def mass(self) -> np.ndarray:
+        """[kg], shape (n,)."""
+        return self.density * self.volume
+
+    @property
+    def sphere_counts(self) -> np.ndarray:
+        """Spheres of each body, shape (n,)."""
+        return np.array([len(template.radii) for template in self.templates], dtype=int)[self.template]
+
+    @staticmethod
+    def empty() -> BodyTable:
+        """A table without rows."""
+        none = np.zeros((0, 3))
+        return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
+
+    def joined(self, other: BodyTable) -> BodyTable:
+        """Both tables in a row."""
+        templates = list(self.templates)
+        for template in other.templates:
+            if all(template is not known for known in templates):
+                templates.append(template)
+        place = np.array([next(i for i, k in enumerate(templates) if k is t) for t in other.templates], dtype=int)
+        renumbered = place[other.template] if len(other.templates) else other.template
+        return BodyTable(
+            *(
+                np.concatenate([getattr(self, name), getattr(other, name)])
+                for name in ("position", "orientation", "velocity", "spin", "size")
+            ),
+            np.concatenate([self.template, renumbered]).astype(int),
+            np.concatenate([self.density, other.density]),
+            self.material + other.material,
+            self.group + other.group,
+            tuple(templates),
+        )
+
+
+def placed_bodies(scene: Scene) -> BodyTable:
+    """Table of the bodies that the scene places one by one."""
+    table = BodyTable.empty()
+    for bodies in scene.bodies:
+        n = len(bodies.positions)
+        identity = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        zero = np.zeros((n, 3))
+        table = table.joined(
+            BodyTable(
+                bodies.positions,
+                identity if bodies.orientations is None else bodies.orientations,
+                zero if bodies.velocities is None else bodies.velocities,
+                zero if bodies.spins is None else bodies.spins,
+                bodies.sizes,
+                np.zeros(n, int),
+                np.full(n, bodies.density),
+                [bodies.material] * n,
+                [bodies.group] * n,
+                (bodies.template or sphere(),),
+            )
+        )
+    return table

@@ -1,0 +1,139 @@
+"""Discrete elements as recorders draw them."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..core.display import GLASS, OTHER, PISTON, Curve, Display, DrawnWall, Plot, Pose, Prototype, RigidBodies, on_palette
+from ..geometry.walls import Prescribed
+from .probes import largest_forces, listed_pairs
+
+COLOURS = {"pipe": GLASS, "piston": PISTON}
+CONTACTS, BONDS = (130, 130, 130), (230, 140, 30)
+ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
+
+
+class ElementDisplay(Display):
+    """Aggregates by speed, size or largest contact force; every clump is drawn by its own spheres."""
+
+    colourings: ClassVar = ("speed", "size", "force")
+    noun: ClassVar = "aggregates"
+    has_network: ClassVar = True
+
+    def __init__(self, simulation: Any, colouring: str) -> None:
+        super().__init__(simulation, colouring)
+        self._upper = self._limit()
+        walls = simulation.model.walls
+        self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
+
+    def _limit(self) -> float:
+        """Value at the top of the colour scale: 1.5 times the steady speed, the largest size, a strong contact force."""
+        scene = self.simulation.scene
+        largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
+        if self.colouring == "size":
+            return largest
+        if self.colouring == "speed":
+            motions = [wall.motion for wall in scene.walls if isinstance(wall.motion, Prescribed)]
+            speeds = [float(np.linalg.norm(motion.velocity)) for motion in motions]
+            nominal = scene.pipe.velocity if scene.pipe is not None else max(speeds, default=0.0)
+            return 1.5 * float(nominal) if nominal else 1.0
+        return 0.05 * scene.contact.stress_scale * largest**2
+
+    def _sphere_order(self) -> np.ndarray:
+        return np.argsort(self.simulation.state.spheres.id.numpy())
+
+    def _body_order(self) -> np.ndarray:
+        return np.argsort(self.simulation.state.bodies.id.numpy())
+
+    def radii(self) -> np.ndarray:
+        """Of all spheres [m], in order of permanent numbers, shape (n,)."""
+        return self.simulation.state.spheres.position.numpy()[self._sphere_order(), 3]
+
+    def centres(self) -> np.ndarray:
+        """Of all spheres [m], likewise, shape (n, 3)."""
+        return self.simulation.state.spheres.position.numpy()[self._sphere_order(), :3]
+
+    def colours(self) -> np.ndarray:
+        """RGB bytes of all spheres, each as its body, shape (n, 3)."""
+        state = self.simulation.state
+        body = state.bodies.id.numpy()[state.spheres.body.numpy()[self._sphere_order()]]
+        return self.body_colours()[body]
+
+    def body_colours(self) -> np.ndarray:
+        """RGB bytes of all bodies, shape (n, 3)."""
+        state, order = self.simulation.state, self._body_order()
+        if self.colouring == "size":
+            values = state.bodies.size.numpy()[order].astype(float)
+        elif self.colouring == "speed":
+            values = np.linalg.norm(state.bodies.velocity.numpy()[order].astype(float), axis=1)
+        else:
+            values = largest_forces(self.simulation.model, state)[order]
+        return on_palette(values, self._upper)
+
+    def plots(self) -> tuple[Plot, ...]:
+        """Pressure on the piston, and energies."""
+        pressure = Curve(
+            "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
+            (215, 95, 30),
+        )  # fmt: skip
+        energies = tuple(Curve(name, label, lambda row, n=name: row[n]) for name, label in ENERGIES.items())
+        return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
+
+    def walls(self) -> list[DrawnWall]:
+        """Walls that can be drawn: endless planes cannot."""
+        found = []
+        for number in self._drawn:
+            wall = self.simulation.model.walls[number]
+            vertices, faces = wall.drawn()
+            found.append(
+                DrawnWall(wall.name, vertices, faces, wall.motion is not None, COLOURS.get(wall.name, OTHER))
+            )
+        return found
+
+    def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
+        walls, number = self.simulation.state.walls, self._drawn[number]
+        return (
+            walls.position.numpy().reshape(-1, 3)[number].astype(float),
+            walls.orientation.numpy().reshape(-1, 4)[number].astype(float),
+        )
+
+    def rigid_bodies(self) -> RigidBodies:
+        """Shapes of the bodies."""
+        state, order = self.simulation.state, self._body_order()
+        prototypes = tuple(Prototype(t.name, t.offsets, t.radii, t.extent) for t in state.templates)
+        return RigidBodies(prototypes, state.bodies.shape.numpy()[order], state.bodies.size.numpy()[order])
+
+    def pose(self) -> Pose:
+        """Where rigid bodies are."""
+        bodies, order = self.simulation.state.bodies, self._body_order()
+        return Pose(bodies.position.numpy()[order], bodies.orientation.numpy()[order], bodies.velocity.numpy()[order])
+
+    def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
+        """Touching pairs that are not bonded, and bonds."""
+        state = self.simulation.state
+        i, j, place = listed_pairs(state)
+        position = state.spheres.position.numpy()
+        reach = position[i, 3] + position[j, 3]
+        touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
+        bonded = np.zeros_like(touching)
+        if self.simulation.model.features.bonds:
+            bonded = state.pairs.bond.numpy()[place] > 0
+
+        def lines(chosen: np.ndarray) -> np.ndarray:
+            return np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
+
+        return {"contacts": (lines(touching & ~bonded), CONTACTS), "bonds": (lines(bonded), BONDS)}
+
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of the pipe's axis, or of all spheres, shape (2, 3) [m]."""
+        pipe = self.simulation.scene.pipe
+        if pipe is not None:
+            points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))
+            return np.stack([points.min(0), points.max(0)])
+        position = self.simulation.state.spheres.position.numpy().astype(float)
+        if len(position) == 0:
+            return np.zeros((2, 3))
+        return np.stack([(position[:, :3] - position[:, 3:]).min(0), (position[:, :3] + position[:, 3:]).max(0)])

@@ -1,0 +1,12 @@
+"""Contact laws: one file each, with the parameters of a pair of materials and what a device computes from them.
+
+Another law is another such file, anywhere: a class like those here, given to a scene as `contact` or in `contacts`.
+"""
+
+from .base import ContactLaw, damping_ratio
+from .hertz_mindlin import HertzMindlin
+from .linear import Contact
+from .lubrication import LubricationLayer
+from .mortar import BinghamMortar
+
+__all__ = ["BinghamMortar", "Contact", "ContactLaw", "HertzMindlin", "LubricationLayer", "damping_ratio"]

@@ -1,0 +1,133 @@
+"""Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
+
+Dashpots after Tsuji et al. 1992 in the form of Antypov & Elliott 2011, whose restitution coefficient does not
+depend on speed. Shear force is incremental; when the normal load falls it either falls with the tangent stiffness
+(`rescale`; Thornton et al. 2013), which never creates energy, or holds, as in the simplest codes.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+import warp as wp
+
+from ...core.errors import between, positive
+from ...core.parameters import Above, OneOf, Within
+from ...kernels.common.types import types
+from ...kernels.dem.contact_law import contact_functions
+from .base import ContactLaw, OnDevice, damping_ratio
+
+UNLOADINGS = ("rescale", "hold")
+RESCALE = wp.constant(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HertzMindlin(ContactLaw):
+    """Elastic spheres: F_n = 4/3 E* sqrt(R* d) d, k_s = 8 G* sqrt(R* d), Coulomb friction, constant restitution."""
+
+    effective_modulus: Annotated[float, "E* [Pa]; 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2", Above()]
+    effective_shear_modulus: Annotated[float, "G* [Pa]; 1/G* = (2 - nu1)/G1 + (2 - nu2)/G2", Above()]
+    friction: Annotated[float, "Coulomb coefficient", Within(0)] = 0.3
+    restitution: Annotated[float, "of a normal impact, 0 to 1, at any speed", Within(0, 1),
+                           OnDevice("damping", damping_ratio)] = 0.9  # fmt: skip
+    unloading: Annotated[str, "shear force while the normal load falls: rescale with the tangent stiffness, or hold "
+                         "(can create energy)", OneOf(UNLOADINGS)] = "rescale"  # fmt: skip
+
+    @classmethod
+    def of(
+        cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
+    ) -> "HertzMindlin":
+        """Contact of two bodies of one material, or of one with a rigid partner. Young's modulus in Pa."""
+        positive("young_modulus", young_modulus, "Pa")
+        between("poisson_ratio", poisson_ratio, 0, 0.5)
+        bodies = 1 if rigid_partner else 2
+        shear = young_modulus / (2 * (1 + poisson_ratio))
+        return cls(
+            effective_modulus=young_modulus / (bodies * (1 - poisson_ratio**2)),
+            effective_shear_modulus=shear / (bodies * (2 - poisson_ratio)),
+            **others,
+        )
+
+    @property
+    def stress_scale(self) -> float:
+        return self.effective_modulus
+
+    @property
+    def has_history(self) -> bool:
+        return self.friction > 0
+
+    @property
+    def has_shear(self) -> bool:
+        return True  # its shear dashpot has no coefficient of its own
+
+    def frictionless(self) -> "HertzMindlin":
+        return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))
+
+    @classmethod
+    def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
+        t = types(scalar)
+        f = contact_functions(scalar)
+        Touch = f.Touch
+        shear_spring = f.shear_spring
+        viscous = float(2.0 * np.sqrt(5.0 / 6.0))
+        Parameters = parameters
+
+        @wp.func
+        def stiffness(p: Parameters, touch: Touch):
+            # At the deepest point of an impact with the present closing speed and overlap.
+            zero = scalar(0.0)
+            root = wp.sqrt(touch.reduced_radius)
+            overlap = wp.max(-touch.gap, zero)
+            closing = wp.min(wp.dot(touch.velocity, touch.normal), zero)
+            impact = scalar(0.9375) * touch.mass * closing * closing / (root * p.effective_modulus)
+            deepest = wp.pow(wp.pow(overlap, scalar(2.5)) + impact, scalar(0.4))
+            contact_radius = root * wp.sqrt(deepest)
+            kn = scalar(2.0) * p.effective_modulus * contact_radius
+            ks = scalar(8.0) * p.effective_shear_modulus * contact_radius
+            c = scalar(wp.static(viscous)) * p.damping
+            return t.vec4(kn, ks, c * wp.sqrt(kn * touch.mass), c * wp.sqrt(ks * touch.mass))
+
+        @wp.func
+        def energy(p: Parameters, touch: Touch, history: t.vec3):
+            overlap = wp.max(-touch.gap, scalar(0.0))
+            contact_radius = wp.sqrt(touch.reduced_radius * overlap)
+            total = scalar(8.0) / scalar(15.0) * p.effective_modulus * contact_radius * overlap * overlap
+            if contact_radius > scalar(0.0):
+                total += wp.length_sq(history) / (scalar(16.0) * p.effective_shear_modulus * contact_radius)
+            return total
+
+        @wp.func
+        def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
+            zero = scalar(0.0)
+            n = touch.normal
+            overlap = wp.max(-touch.gap, zero)
+            contact_radius = wp.sqrt(touch.reduced_radius * overlap)
+            kn = scalar(2.0) * p.effective_modulus * contact_radius
+            ks = scalar(8.0) * p.effective_shear_modulus * contact_radius
+            spring = scalar(2.0) / scalar(3.0) * kn * overlap
+            vn = wp.dot(touch.velocity, n)
+            vs = touch.velocity - vn * n
+            before = overlap + vn * dt
+            kept = history
+            released = zero
+            if before > zero and overlap > zero:
+                # What the spring held less what it holds with the new stiffness: the same force on a stiffer one
+                # when loading, a force that falls with the stiffness when unloading.
+                ratio = wp.sqrt(overlap / before)
+                stored = scalar(0.5) * wp.length_sq(history) / ks
+                released = stored * (ratio - scalar(1.0))
+                if ratio < scalar(1.0) and p.unloading == RESCALE:
+                    kept = ratio * history
+                    released = stored * ratio * (scalar(1.0) - ratio)
+            new_history, slips, lost = shear_spring(touch, kept, ks, p.friction * spring, dt)
+            c = scalar(wp.static(viscous)) * p.damping
+            cn = c * wp.sqrt(kn * touch.mass)
+            total = new_history - (spring - cn * vn) * n
+            lost += released + cn * vn * vn * dt
+            if not slips:
+                cs = c * wp.sqrt(ks * touch.mass)
+                total = total + cs * vs
+                lost += cs * wp.length_sq(vs) * dt
+            return total, new_history, lost
+
+        return {"force": force, "stiffness": stiffness, "energy": energy}

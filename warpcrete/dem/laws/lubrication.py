@@ -1,0 +1,98 @@
+"""Linear contact with a lubrication layer in shear: yield stress and viscous drag (Xu, Li & Jiang 2021, Eq. 8).
+
+On a wall, the layer that pumped concrete leaves there: shear stress tau = tau_L0 + eta_L V at slip velocity V,
+on the area A = pi r^2 of every contact. The yield part adds to the slider of the shear spring, so a layer at
+rest carries any stress up to tau_L0.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import warp as wp
+
+from ...core.parameters import Within
+from ...kernels.common.types import types
+from ...kernels.dem.contact_law import contact_functions
+from .base import ContactLaw
+from .linear import Contact
+
+
+@dataclass(frozen=True, kw_only=True)
+class LubricationLayer(ContactLaw):
+    """The linear law's normal part; slider mu N + A tau_L0 and drag A eta_L V in shear."""
+
+    called = "layer"
+
+    contact: Annotated[Contact, "spring, dashpot and friction"] = Contact()
+    yield_stress: Annotated[float, "tau_L0 [Pa], on pi r^2 of every contact", Within(0)] = 0.0
+    viscosity: Annotated[float, "eta_L [Pa s/m], viscosity of the layer over its thickness", Within(0)] = 0.0
+
+    @property
+    def stress_scale(self) -> float:
+        return self.contact.stress_scale
+
+    @property
+    def has_history(self) -> bool:
+        return self.contact.has_history or self.yield_stress > 0
+
+    @property
+    def has_shear(self) -> bool:
+        return self.has_history or self.contact.has_shear or self.viscosity > 0
+
+    def frictionless(self) -> "LubricationLayer":
+        return LubricationLayer(contact=self.contact.frictionless())
+
+    @classmethod
+    def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
+        t = types(scalar)
+        f = contact_functions(scalar)
+        Touch = f.Touch
+        shear_spring = f.shear_spring
+        linear = Contact.functions(scalar)
+        linear_stiffness = linear.stiffness
+        linear_energy = linear.energy
+        linear_force = linear.force
+        Parameters = parameters
+
+        @wp.func
+        def area(touch: Touch):
+            return scalar(wp.static(float(np.pi))) * touch.smaller_radius * touch.smaller_radius
+
+        @wp.func
+        def stiffness(p: Parameters, touch: Touch):
+            k = linear_stiffness(p.contact, touch)
+            return t.vec4(k[0], k[1], k[2], k[3] + p.viscosity * area(touch))
+
+        @wp.func
+        def energy(p: Parameters, touch: Touch, history: t.vec3):
+            return linear_energy(p.contact, touch, history)
+
+        @wp.func
+        def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
+            zero = scalar(0.0)
+            n = touch.normal
+            # The linear law without shear: its slider is replaced by one with the layer's yield stress.
+            alone, unused, unused_loss = linear_force(p.contact, touch, t.vec3(), zero)
+            normal_part = wp.dot(alone, n) * n
+            k = linear_stiffness(p.contact, touch)
+            vn = wp.dot(touch.velocity, n)
+            vs = touch.velocity - vn * n
+            spring = k[0] * wp.max(-touch.gap, zero)
+            limit = p.contact.friction * spring
+            drag = k[3]
+            if touch.gap < zero:
+                limit += p.yield_stress * area(touch)
+            shear, slips, slid = shear_spring(touch, history, k[1], limit, dt)
+            if slips and (p.contact.dashpot & 2) != 0:
+                drag = zero
+            if touch.gap < zero:
+                drag += p.viscosity * area(touch)
+            resisting = wp.dot(alone, n) + spring  # the normal dashpot alone
+            return (
+                normal_part + shear + drag * vs,
+                shear,
+                slid + (resisting * vn + drag * wp.length_sq(vs)) * dt,
+            )
+
+        return {"force": force, "stiffness": stiffness, "energy": energy}

@@ -1,0 +1,66 @@
+"""How much memory a run takes, checked before it is taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from ..core.device import MEMORY_FRACTION, memory_free
+from ..core.errors import CapacityError
+from ..kernels.common.types import types
+from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS
+from .bodies import BodyTable
+from .model import Model
+from .state import State, pair_bytes
+
+LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
+
+
+def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
+    """Memory of a body without its spheres, and of a sphere with its listed pairs [B]; `table` has a body or more."""
+    one = BodyTable(
+        *(getattr(table, name)[:1] for name in ("position", "orientation", "velocity", "spin", "size", "template")),
+        table.density[:1], table.material[:1], table.group[:1], table.templates,
+    )  # fmt: skip
+    one = replace(one, template=np.zeros(1, int), templates=(min(table.templates, key=lambda t: len(t.radii)),))
+    state = State(model, one)
+
+    def size(*structs: str) -> int:
+        arrays = [array for struct, _, array in state.arrays() if struct in structs]
+        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays)
+
+    listed = LISTED if model.features.half_list else 2 * LISTED
+    pair = sum(pair_bytes(model).values())
+    scalar = wp.types.type_size_in_bytes(model.scalar)
+    # Besides the state: the list before (for history), row starts and grid, the estimate's sums, the probes' rows.
+    listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
+    estimate = 4 * wp.types.type_size_in_bytes(types(model.scalar).mat33)
+    probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
+    if model.features.half_list:
+        listing += 4 * listed + 4  # what a search finds, and where
+    if model.features.analytic:
+        listing += 4 * scalar  # where it was last clear of walls
+    body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
+    return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
+
+
+def memory_needed(model: Model, table: BodyTable) -> float:
+    """Estimate of all that a run with these bodies takes on the device [B]."""
+    if len(table) == 0:
+        return 0.0
+    body, sphere = bytes_per_body(model, table)
+    return body * len(table) + sphere * float(table.sphere_counts.sum())
+
+
+def check_memory(model: Model, table: BodyTable) -> None:
+    """Raise :class:`CapacityError` if the bodies do not fit the device's free memory."""
+    needed, free = memory_needed(model, table), memory_free(model.device)
+    if needed > MEMORY_FRACTION * free:
+        fitting = int(len(table) * MEMORY_FRACTION * free / needed)
+        raise CapacityError(
+            f"bodies = {len(table)}: need about {needed / 2**30:.3g} GiB on {model.device}, which has "
+            f"{free / 2**30:.3g} GiB free; about {fitting} of them would fit: choose a smaller container or larger "
+            "aggregates, single precision, or a device with more memory"
+        )

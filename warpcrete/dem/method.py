@@ -1,0 +1,20 @@
+"""Discrete elements, as the rest of the program sees them."""
+
+from ..core.method import Method
+from .batch_run import run_batch
+from .display import ElementDisplay
+from .pictures import draw, plot_aggregates
+from .quantities import QUANTITIES, report
+from .simulation import ElementSimulation
+
+METHOD = Method(
+    name="dem",
+    simulation=ElementSimulation,
+    quantities=QUANTITIES,
+    display=ElementDisplay,
+    picture="pressure.png",
+    draw=draw,
+    show=plot_aggregates,
+    report=report,
+    run_many=run_batch,
+)

@@ -1,0 +1,287 @@
+"""Verlet lists: built on Warp's hash grid, carried over exactly, re-sorted along the grid now and then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.errors import CapacityError
+from ..core.launching import Stage, launch
+from ..kernels.common.control import STALE
+from ..kernels.common.types import types
+from ..kernels.dem.mesh_contacts import candidate_kernels
+from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
+from ..kernels.dem.sorting import invert, iota, order_kernels, permute_kernel
+from .batch import MOST_ENTRIES, Batch
+from .stages import tasks
+from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
+
+DRIFT_LANES = 256
+SORTED = {
+    "bodies": ("first", *OF_BATCH["bodies"]),
+    "spheres": ("scene", "body", "force", "moment"),
+    "slots": (),
+}
+"""Structs whose rows a re-sorting moves, and those of their arrays that stay: they are made anew, or zero."""
+
+
+@dataclass
+class _Launches:
+    """Recorded launches of a rebuild."""
+
+    centres: Stage
+    stretch: Stage
+    count: list[Stage]
+    search: list[Stage]
+    starts: Stage
+    transfer: list[Stage]
+    drift: Stage
+    clear_stale: Stage
+    faces: list[Stage] = field(default_factory=list)
+    """Count, starts and fill of mesh candidates."""
+
+
+class NeighborLists:
+    """(Re)builds pair lists and mesh candidates of the scenes of a batch that are stale.
+
+    A list holds the pairs within a skin [m] of each other. It stays complete until some sphere has moved by half
+    the skin against a common drift (its scene's mean velocity at the build), or by the mesh skin against a mesh.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self.sort_every = np.full(batch.count, 20)
+        """Builds of a scene from one re-sorting of its bodies to the next; 0: never."""
+        self.builds = np.zeros(batch.count, dtype=int)
+        self.mean_radius = np.array([s.mean_radius for s in batch.states])
+        """Of a scene's spheres at full size [m]."""
+        f, t = batch.features, types(batch.scalar)
+        n, scenes = batch.sphere_count, batch.count
+        # Few points to a cell; positions wrap, so any domain fits.
+        side = int(np.clip(2 ** np.ceil(np.log2(max(n, 1) ** (1 / 3))), 16, 256 if batch.parallel else 64))
+        self._grid = wp.HashGrid(side, side, side, device=batch.device, dtype=batch.scalar)
+
+        def zeros(shape: Any, dtype: Any = wp.int32) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=batch.device)
+
+        self._centre = zeros(n, t.vec3)
+        self._count, self._scanned = zeros(n + scenes), zeros(n + scenes)
+        # Half lists: what a search finds, in a room for each chunk, and where a sphere's part of that begins.
+        self._room = np.full(batch.threads, 8 * n // batch.threads)
+        self._found = zeros(int(self._room.sum()) if f.half_list else 0)
+        self._place = zeros(n if f.half_list else 0)
+        self._wanted = zeros(batch.threads)
+        self._boxes = zeros((batch.threads, 2), t.vec3)
+        self._total, self._face_total = zeros(scenes), zeros(scenes)
+        self._identity, self._old_place, self._new_place = zeros(n), zeros(n), zeros(n)
+        self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
+        self._stretched = zeros(n if f.bonds else 0, batch.scalar)
+        # The list before, which the new one takes history from.
+        self._old = batch.structs.Pairs()
+        self._old.start = zeros(n + scenes)
+        self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
+        self._recorded: dict[bool, _Launches] = {}
+        self._version = -1
+        launch(iota, n, batch.device, target=self._identity)
+
+    def __call__(self) -> None:
+        """Rebuild the lists of every scene that is marked stale."""
+        b = self.batch
+        b.device_changed()
+        if b.sphere_count == 0:
+            self._launches(False).clear_stale()
+            b.device_changed()
+            return
+        stale = b.host_flags()[:, int(STALE)] != 0
+        due = stale & (self.sort_every > 0) & (self.builds % np.maximum(self.sort_every, 1) == 0)
+        sort = bool(due.any()) and b.body_count > 1
+        if sort:
+            self._sort(due)
+        self.builds[stale] += 1
+        wp.copy(self._old.start, b.pairs.start)
+        self._keep_old()
+        launches = self._launches(sort)
+        launches.centres()
+        scale = b.scenes.scale.numpy() if b.features.growth else 1.0
+        # Cells for the many small spheres: the few large ones look through more of them.
+        cell = float(np.max(2 * self.mean_radius * scale + b.rows["skin"]))
+        self._grid.build(self._centre, radius=cell, groups=b.spheres.scene if b.count > 1 else None)
+        if b.features.bonds:
+            self._stretched.zero_()
+            launches.stretch()
+        if b.features.half_list:
+            launches = self._search(sort)
+        else:
+            b.in_parts(launches.count)
+        wanted = self._starts(launches.starts, self._total, "neighbour list", "pairs")
+        if np.any(wanted > b.capacity):
+            b.reserve_pairs(wanted)
+            self._keep_old()  # the scenes' places in the pair arrays are others now
+            launches = self._launches(sort)
+        for s in np.flatnonzero(stale):
+            b.states[s].pair_total = int(wanted[s])
+        if not b.features.half_list:
+            b.in_parts(launches.search)
+        b.in_parts(launches.transfer)
+        if b.features.meshes:
+            launches.faces[0]()
+            wanted = self._starts(launches.faces[1], self._face_total, "mesh candidates", "faces")
+            if np.any(wanted > b.face_capacity):
+                b.reserve_faces(wanted)
+                launches = self._launches(sort)
+            launches.faces[2]()
+        launches.drift()
+        launches.clear_stale()
+        b.device_changed()
+        b.lists_built()
+
+    def _search(self, sort: bool) -> _Launches:
+        """Half lists: search chunk by chunk into buffers, once more where one was too short."""
+        b = self.batch
+        if b.threads > 1:
+            places = self._centre.numpy()
+            nowhere = [np.full(3, np.inf), np.full(3, -np.inf)]
+            chunks = [places[first:last] for first, last in pairwise(b.sphere_chunks.tolist())]
+            self._boxes.assign(np.array([[c.min(0), c.max(0)] if len(c) else nowhere for c in chunks]))
+        while True:
+            launches = self._launches(sort)
+            b.in_parts(launches.search)
+            wanted = self._wanted.numpy().astype(np.int64)
+            if np.all((wanted >= 0) & (wanted <= self._room)):
+                return launches
+            room = np.maximum(self._room, wanted + wanted // 4)
+            if np.any(wanted < 0) or room.sum() > MOST_ENTRIES:
+                raise CapacityError(
+                    f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can count"
+                )
+            self._room = room
+            self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
+            self._recorded.clear()
+
+    def _keep_old(self) -> None:
+        """Copy of the list that the new one takes history from."""
+        b = self.batch
+        for name in PAIR_ARRAYS:
+            array, kept = getattr(b.pairs, name), getattr(self._old, name)
+            if name not in self._kept:  # nobody reads it
+                if kept is not array:
+                    setattr(self._old, name, array)
+                    self._recorded.clear()
+                continue
+            if kept is None or len(kept) != len(array):
+                kept = wp.empty(len(array), dtype=array.dtype, device=b.device)
+                setattr(self._old, name, kept)
+                self._recorded.clear()
+            wp.copy(kept, array, count=b.states[0].pair_total if b.count == 1 else len(array))
+
+    def _launches(self, sorted_now: bool) -> _Launches:
+        """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now."""
+        if self._version != self.batch.version:
+            self._recorded.clear()
+            self._version = self.batch.version
+        if sorted_now not in self._recorded:
+            self._recorded[sorted_now] = self._record(sorted_now)
+        return self._recorded[sorted_now]
+
+    def _record(self, sorted_now: bool) -> _Launches:
+        b, f, n = self.batch, self.batch.features, self.batch.sphere_count
+        old_place = self._old_place if sorted_now else self._identity
+        new_place = self._new_place if sorted_now else self._identity
+        found = self._found if f.half_list else b.pairs.other
+        edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
+        chunks = list(pairwise(b.sphere_chunks.tolist()))
+        lists = list_kernels(b.scalar)
+        count, search = search_kernels(b.scalar, f.half_list, f.bonds)
+        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds)
+
+        def searching(kernel: Any) -> list[Stage]:
+            return [
+                b.stage(
+                    kernel, 1 if f.half_list else n, grid=self._grid.id, first=first, last=last, part=part,
+                    boxes=self._boxes, old_pairs=self._old, old_place=old_place, stretched=self._stretched,
+                    count=self._count, place=self._place, room=wp.vec2i(edges[part], edges[part + 1]),
+                    wanted=self._wanted, other=found,
+                )
+                for part, (first, last) in enumerate(chunks)
+            ]  # fmt: skip
+
+        def starts(start: wp.array, total: wp.array) -> Stage:
+            return b.stage(lists.starts, n + b.count, scanned=self._scanned, start=start, total=total)
+
+        launches = _Launches(
+            centres=b.stage(lists.centres, n, centre=self._centre),
+            stretch=b.stage(
+                lists.stretch, n, old_pairs=self._old, old_place=old_place, new_place=new_place,
+                stretched=self._stretched,
+            ),
+            count=searching(count),
+            search=searching(search),
+            starts=starts(b.pairs.start, self._total),
+            transfer=[
+                b.stage(
+                    transfer, tasks(b, last - first), first=first, last=last, old_pairs=self._old,
+                    old_place=old_place, place=self._place, found=found,
+                )
+                for first, last in chunks
+            ],
+            drift=b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes),
+            clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
+        )  # fmt: skip
+        if f.meshes:
+            count_faces, fill_faces = candidate_kernels(b.scalar)
+            launches.faces = [
+                b.stage(count_faces, n, count=self._count),
+                starts(b.candidates.start, self._face_total),
+                b.stage(fill_faces, n, count=self._count),
+            ]
+        return launches
+
+    def _starts(self, place: Stage, total: wp.array, what: str, entries: str) -> np.ndarray:
+        """Scan the counts into row starts; returns how many entries each scene now has."""
+        wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+        place()
+        wanted = total.numpy().astype(np.int64)
+        if np.any(wanted < 0) or wanted.sum() > MOST_ENTRIES:
+            raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")
+        return wanted
+
+    def _sort(self, due: np.ndarray) -> None:
+        """Re-order bodies along a space-filling curve; notes the old place of each new sphere and the reverse."""
+        b, device, kernels = self.batch, self.batch.device, order_kernels(self.batch.scalar)
+        bodies = b.body_count
+        key = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
+        order = wp.zeros(2 * bodies, dtype=wp.int32, device=device)
+        sort = wp.array(due.astype(np.int32), dtype=wp.int32, device=device)
+        lowest = wp.full((b.count, 3), 2**30, dtype=wp.int32, device=device)
+        launch(kernels.corner, bodies, device, scenes=b.scenes, bodies=b.bodies, lowest=lowest)
+        launch(
+            kernels.keys, bodies, device, scenes=b.scenes, bodies=b.bodies, sort=sort, lowest=lowest, key=key,
+            value=order,
+        )  # fmt: skip
+        wp.utils.radix_sort_pairs(key, order, bodies, end_bit=30 + int(b.count).bit_length())
+        order = order[:bodies]
+        count = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
+        start = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
+        launch(kernels.counts, bodies, device, bodies=b.bodies, order=order, count=count)
+        wp.utils.array_scan(count, start, inclusive=False)
+        launch(
+            kernels.place_spheres, bodies, device, scenes=b.scenes, order=order, old_first=wp.clone(b.bodies.first),
+            new_start=start, bodies=b.bodies, spheres=b.spheres, old_place=self._old_place,
+        )  # fmt: skip
+        launch(invert, b.sphere_count, device, order=self._old_place, inverse=self._new_place)
+        for struct, stay in SORTED.items():
+            places = order if struct == "bodies" else self._old_place
+            for name in getattr(b.structs, struct.capitalize()).vars:
+                array = getattr(getattr(b, struct), name)
+                if name not in stay and array.size:
+                    _permute(array, places)
+        b.split()
+
+
+def _permute(array: wp.array, order: wp.array) -> None:
+    kernel = permute_kernel(array.dtype, array.ndim == 2)
+    launch(kernel, array.shape, array.device, source=wp.clone(array), order=order, target=array)

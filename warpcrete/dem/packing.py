@@ -1,0 +1,307 @@
+"""Packing: fill a pipe or any closed mesh with aggregates, by growing them in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..core.device import find_device, parallel
+from ..core.errors import CapacityError, InstabilityError, WarpcreteError, refuse
+from ..core.run_loop import Coroutine
+from .batch import batch_key
+from .bodies import BodyTable
+from .containers import Fill, MeshContainer, PipeContainer
+from .laws import Contact, ContactLaw
+from .memory import check_memory
+from .model import build_model
+from .probes import contact_sums
+from .scene import Scene
+from .scheduling import Steps, drive
+from .state import State
+from .stepper import Stepper, steppers_of
+
+START_FRACTION = 0.10  # solid fraction at which aggregates are sown
+GROWTH_STEPS = 1500
+RELAX_STEPS = 3000
+CHUNK = 50  # steps from one look at the pressure to the next
+TRANSIENT = 0.005  # pressure over contact modulus that aggregates reach before they have parted
+CLOSE_FRACTION = 0.75  # more than any packing of these shapes takes under kilopascals
+MOST_BODIES = 2**25  # whose arrays still fit the memory of today's largest GPU
+
+
+@dataclass(frozen=True)
+class PackingReport:
+    """What a packing came to."""
+
+    bodies: int
+    spheres: int
+    solid_fraction: float
+    """Solid volume (overlaps inside a clump counted once) over container volume."""
+    coordination_number: float
+    """Mean number of touching neighbours of a body; walls do not count."""
+    mean_overlap: float
+    """Of touching spheres, over the smaller radius."""
+    largest_overlap: float
+    pressure: float
+    """Mean pressure from contact forces, container walls not counted [Pa]."""
+    size_factor: float
+    """All sizes were multiplied by this to meet a pressure; 1 for a solid fraction."""
+
+
+def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
+    """Uniformly distributed unit quaternions x, y, z, w, shape (count, 4)."""
+    q = random.normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def draw(
+    fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
+) -> BodyTable:
+    """Aggregates with a total of `fraction` times the container's volume, sown at well spread points."""
+    wanted = fraction * container.volume
+    expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
+    if expected > MOST_BODIES:
+        raise CapacityError(
+            f"packing: {container.volume:.3g} m3 would take {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
+            "choose a smaller container or larger aggregates"
+        )
+    sizes = np.empty(0)
+    while np.pi / 6 * np.sum(sizes**3) < wanted:
+        sizes = np.concatenate([sizes, fill.sizes.sample(max(16, len(sizes)), random)])
+    total = np.cumsum(np.pi / 6 * sizes**3)
+    count = int(np.searchsorted(total, wanted)) + 1
+    if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
+        count -= 1  # whichever comes nearer
+    sizes = sizes[:count]
+    # Sizes do not depend on the shape, so fractions by number are fractions by volume.
+    template = random.choice(len(fill.templates), size=count, p=fill.fractions)
+    points = container.sample(count, random)[random.permutation(count)]
+    zero = np.zeros((count, 3))
+    return BodyTable(
+        points, random_orientations(count, random), zero, zero, sizes, template, np.full(count, fill.density),
+        [fill.material] * count, [""] * count, fill.templates,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Request:
+    """What :func:`pack_many` packs: a fill, the contact law whose stiffness it has, and a seed."""
+
+    fill: Fill
+    contact: ContactLaw
+    seed: int
+
+
+def pack(
+    fill: Fill,
+    *,
+    contact: ContactLaw | None = None,
+    seed: int = 0,
+    device=None,
+    precision: str = "float32",
+    progress: Callable[[float], None] | None = None,
+    threads: int = 1,
+) -> tuple[BodyTable, PackingReport]:
+    """Pack aggregates into their container: sow them small, let them grow, frictionless and damped, and settle.
+
+    Returns the bodies at rest and a report. `progress` is called with the fraction done. To meet a pressure, a
+    pilot packing finds the solid fraction that belongs to it; the packing itself then stops growing where the
+    pressure is met, which changes all sizes by a factor near 1 that the report names.
+    """
+    request = Request(fill, contact or Contact(), seed)
+    (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
+    if isinstance(packed, BaseException):
+        raise packed
+    return packed
+
+
+def pack_many(
+    requests: Sequence[Request],
+    *,
+    device=None,
+    precision: str = "float32",
+    progress: Callable[[float], None] | None = None,
+    threads: int = 1,
+) -> list[Any]:
+    """Pack many containers side by side; for each (bodies, report) as from :func:`pack`, or the error it raised."""
+    device = find_device(device) if device is None or isinstance(device, str) else device
+    tell = progress or (lambda done: None)
+    randoms = [np.random.default_rng([request.seed, 1]) for request in requests]
+    pilots: dict[int, Any] = {}
+    parts = []
+    for number, request in enumerate(requests):
+        fill = request.fill
+        if fill.pressure is not None:
+            pilot = fill.container.pilot()
+            pilot = replace(pilot) if pilot is fill.container else pilot
+            parts.append(pilot.volume / (pilot.volume + fill.container.volume))
+            pilots[number] = (pilot, CLOSE_FRACTION)
+    part = float(np.mean(parts)) if parts else 0.0  # of the work, that the pilots take
+
+    def grow_all(containers: dict[int, Any], told: Callable[[float], None]) -> dict[int, Any]:
+        found: dict[int, Any] = {}
+        growths: dict[int, _Growth] = {}
+        for number, (container, fraction) in containers.items():
+            request = requests[number]
+            try:
+                growths[number] = _Growth(request, container, fraction, randoms[number], device, precision)
+            except WarpcreteError as error:
+                found[number] = error
+        return found | _grow_together(growths, threads, told)
+
+    measured = grow_all(pilots, lambda done: tell(part * done)) if pilots else {}
+    wanted: dict[int, Any] = {}
+    failed: dict[int, Any] = {}
+    for number, request in enumerate(requests):
+        fraction = request.fill.solid_fraction
+        if number in measured:
+            if isinstance(measured[number], BaseException):
+                failed[number] = measured[number]
+                continue
+            fraction = min(measured[number][1].solid_fraction * 1.02, CLOSE_FRACTION)
+        wanted[number] = (request.fill.container, fraction)
+    found = failed | grow_all(wanted, lambda done: tell(part + (1 - part) * done))
+    return [found[number] for number in range(len(requests))]
+
+
+def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
+    """Drive growths of the same features as one batch each; what each returned or raised, by number."""
+    groups: dict[Any, list[int]] = {}
+    for number, growth in growths.items():
+        key = batch_key(growth.model) if parallel(growth.model.device) else number
+        groups.setdefault(key, []).append(number)
+    found: dict[int, Any] = {}
+    done = dict.fromkeys(growths, 0.0)
+
+    def told(number: int, fraction: float) -> None:
+        done[number] = fraction
+        tell(sum(done.values()) / len(done))
+
+    for numbers in groups.values():
+        members = [growths[number] for number in numbers]
+        steppers = steppers_of([g.model for g in members], [g.state for g in members], threads=threads)
+        scenes = {}
+        for number, growth, stepper in zip(numbers, members, steppers):
+            stepper.change(local_damping=0.5, growth_rate=growth.rate, growth_end=1.0)
+            scenes[stepper.index] = (stepper, growth.growing(stepper, lambda done, n=number: told(n, done)))
+        results = drive(scenes)
+        found |= {number: results[stepper.index] for number, stepper in zip(numbers, steppers)}
+        stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
+        if stop is not None:
+            raise stop
+    return found
+
+
+class _Growth:
+    """One packing under way."""
+
+    def __init__(self, request: Request, container, fraction: float, random, device, precision: str) -> None:
+        fill = request.fill
+        self.fill, self.contact, self.container, self.fraction = fill, request.contact, container, fraction
+        self.table = draw(fill, container, fraction, random)
+        scene = Scene(
+            name="packing",
+            duration=0.0,
+            fill=fill,
+            walls=container.walls("wall"),
+            contact=request.contact.frictionless(),
+            gravity=(0.0, 0.0, 0.0),
+        )
+        self.model = build_model(scene, device, precision, growth=True)
+        check_memory(self.model, self.table)
+        self.state = State(self.model, self.table)
+        start = min(1.0, (START_FRACTION / fraction) ** (1 / 3))
+        self.state.scenes.scale.fill_(start)
+        _resize(self.state, self.table, start)
+        self.rate = (1.0 - start) / GROWTH_STEPS
+
+    def growing(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
+        """Grow and come to rest; returns bodies and report."""
+        try:
+            yield from self._grow(stepper, lambda done: tell(0.6 * done))
+            yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
+        except InstabilityError as error:
+            raise InstabilityError(f"packing to a solid fraction of {self.fraction:.3g} failed: {error}") from error
+        return self._result(stepper)
+
+    def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
+        pressure = self.fill.pressure
+        # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
+        enough = max(pressure or 0.0, TRANSIENT * self.contact.stress_scale)
+        for number in range(GROWTH_STEPS // CHUNK):
+            stepper.choose_dt()
+            yield Steps(CHUNK)
+            tell((number + 1) * CHUNK / GROWTH_STEPS)
+            if pressure is not None and number % 2 and self._pressure() > enough:
+                break
+
+    def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
+        """Come to rest, and with a wanted pressure creep towards it from either side."""
+        pressure = self.fill.pressure
+        met, least, below = 0, 1e-3, None
+        for number in range(RELAX_STEPS // CHUNK):
+            if pressure is not None:
+                error = pressure - self._pressure()
+                met = met + 1 if abs(error) < 0.03 * pressure else 0
+                if met == 4:
+                    break
+                # dp/d(ln size) of a packing is about its contacts' modulus.
+                change = np.clip(error / self.contact.stress_scale, -2e-3, 2e-3)
+                if below is not None and below != (error > 0):
+                    least *= 0.5
+                below = bool(error > 0)
+                if error > 0.5 * pressure:
+                    change = max(change, least)  # not jammed: no pressure tells how far to go
+                stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
+            stepper.choose_dt()
+            yield Steps(CHUNK)
+            tell((number + 1) * CHUNK / RELAX_STEPS)
+
+    def _pressure(self) -> float:
+        return contact_sums(self.model, self.state).virial / (3 * self.container.volume)
+
+    def _result(self, stepper: Stepper) -> tuple[BodyTable, PackingReport]:
+        state, pressure = self.state, self.fill.pressure
+        stepper.stop_motion()
+        factor = float(state.scenes.scale.numpy()[0])
+        sums = contact_sums(self.model, state, coordination=True)
+        result = state.table()
+        # The grown sizes keep their density, not their mass.
+        result.density = self.table.density.copy()
+        result.velocity = np.zeros_like(result.velocity)
+        result.spin = np.zeros_like(result.spin)
+        reached = sums.virial / (3 * self.container.volume)
+        if pressure is not None and self.container is self.fill.container:
+            found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+            if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
+                refuse(
+                    "packing pressure",
+                    pressure,
+                    f"cannot be met, the packing {found}",
+                    f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                    f"({self.contact.stress_scale:g} Pa)",
+                )
+        report = PackingReport(
+            bodies=len(result),
+            spheres=state.sphere_count,
+            solid_fraction=float(result.volume.sum() / self.container.volume),
+            coordination_number=sums.coordination_number,
+            mean_overlap=sums.mean_overlap,
+            largest_overlap=sums.largest_overlap,
+            pressure=reached,
+            size_factor=factor,
+        )
+        return result, report
+
+
+def _resize(state: State, table: BodyTable, factor: float) -> None:
+    """Shrink spheres about their bodies' centroids."""
+    spheres = state.spheres
+    position = spheres.position.numpy().astype(float)
+    centre = table.position[spheres.body.numpy()]
+    position[:, :3] = centre + factor * (position[:, :3] - centre)
+    position[:, 3] *= factor
+    spheres.position.assign(position.astype(spheres.position.numpy().dtype))

@@ -1,0 +1,101 @@
+"""Pictures of runs of discrete elements, by Matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..core.units import number
+from ..geometry.rotation import rotate
+from .simulation import ElementRun
+
+
+def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
+    """Figure of pumping pressure [kPa] against piston travel [m] of one run, or of several by name.
+
+    Marks where the piston has its final speed and, of a single run, its plateau, and what is published for the scene
+    of the first run.
+    """
+    from matplotlib.figure import Figure
+
+    many = runs if isinstance(runs, Mapping) else {"": runs}
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for name, run in many.items():
+        axes.plot(run.series["travel"], run.series["pressure"] / 1e3, label=name or "this run", linewidth=1.6)
+    run = next(iter(many.values()))
+    longest = max(float(r.series["travel"].max()) for r in many.values()) or 1.0
+    _mark_travel(axes, run, longest)
+    if len(many) == 1 and "plateau_pressure" in run.result:
+        begin, level = number(run.result["plateau_from_travel"]), number(run.result["plateau_pressure"]) / 1e3
+        axes.plot([begin, longest], [level, level], color="C1", linewidth=2.5, alpha=0.7, label="plateau, mean")
+    published = run.scene.published
+    if published is not None:
+        if published.plateau is not None:
+            axes.axhline(published.plateau / 1e3, color="0.4", linestyle=":", label=f"plateau, {published.source}")
+        if published.peak is not None and published.peak_travel is not None:
+            axes.plot(published.peak_travel, published.peak / 1e3, "k+", markersize=10,
+                      label=f"peak, {published.source}")  # fmt: skip
+        elif published.peak is not None:
+            axes.axhline(published.peak / 1e3, color="k", linestyle="--", linewidth=0.8,
+                         label=f"maximum, {published.source}")  # fmt: skip
+    axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, longest))
+    if len(axes.lines) > 1:
+        axes.legend(frameon=False, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
+    """A line where the ramp of the piston's speed ends."""
+    ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
+    if 0 < ramp < longest:
+        axes.axvline(ramp, color="0.7", linewidth=0.8)
+        axes.annotate("piston at full speed", (ramp, 0.02), xycoords=("data", "axes fraction"), xytext=(4, 0),
+                      textcoords="offset points", color="0.45", fontsize=8)  # fmt: skip
+
+
+def draw(simulation: Any, run: ElementRun, colouring: str) -> Any:
+    """The picture of a run folder: the pressure, if the scene has one."""
+    return plot_pressure(run) if "pressure" in run.series else None
+
+
+def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Any:
+    """Figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
+
+    Every sphere of every clump is drawn, the near ones last; `vertical` and `across` are the drawn axes.
+    """
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.figure import Figure
+
+    many = runs if isinstance(runs, Mapping) else {"": runs}
+    figure = Figure(figsize=(2.6 * len(many) + 1.2, 6), layout="constrained", dpi=65)
+    all_axes = figure.subplots(1, len(many), sharex=True, sharey=True, squeeze=False)[0]
+    speeds = [np.linalg.norm(run.bodies.velocity, axis=1) for run in many.values()]
+    upper = 1.2 * max(float(np.median(s)) for s in speeds) or 1.0
+    drawn = None
+    for axes, (name, run), speed in zip(all_axes, many.items(), speeds, strict=True):
+        centres, diameters, values = [], [], []
+        for number, template in enumerate(run.bodies.templates):
+            chosen = run.bodies.template == number
+            size, q = run.bodies.size[chosen], run.bodies.orientation[chosen]
+            for offset, radius in zip(template.offsets, template.radii, strict=True):
+                centres.append(run.bodies.position[chosen] + rotate(q, size[:, None] * offset))
+                diameters.append(2 * radius * size)
+                values.append(speed[chosen])
+        place, width, value = (np.concatenate(part) for part in (centres, diameters, values))
+        depth = 3 - vertical - across
+        order = np.argsort(-place[:, depth])
+        drawn = EllipseCollection(
+            width[order], width[order], np.zeros(len(order)), units="xy", offsets=place[order][:, [across, vertical]],
+            offset_transform=axes.transData, array=value[order], cmap="viridis", clim=(0, upper),
+            edgecolors="black", linewidths=0.15,
+        )  # fmt: skip
+        axes.add_collection(drawn)
+        axes.set(aspect="equal", title=name, xlabel=f"{'xyz'[across]} [m]")
+        axes.autoscale_view()
+    all_axes[0].set_ylabel(f"{'xyz'[vertical]} [m]")
+    figure.colorbar(drawn, ax=list(all_axes), label="speed [m/s]", shrink=0.6)
+    return figure

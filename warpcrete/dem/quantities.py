@@ -1,0 +1,177 @@
+"""The numbers that a run of discrete elements comes to, each with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.method import Quantity
+from ..core.run_loop import Run
+from ..core.units import number
+from ..geometry.walls import Wall
+from .probes import ContactSums
+from .sampling import STORED
+from .scene import Scene
+
+WINDOW = 0.2
+"""Part of the travel, at its end, over which the pressure at the end is averaged."""
+LEVEL = 0.1
+"""Part by which the mean over that window may differ from that over an equal one before it, on a plateau."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What there is to know of a run when its quantities are worked out."""
+
+    scene: Scene
+    walls: Sequence[Wall]
+    series: dict[str, np.ndarray]
+    mass: float
+    """Of all bodies [kg]."""
+    contacts: ContactSums
+    """At the end, coordination number included."""
+
+    @property
+    def pumped(self) -> bool:
+        """There is a pressure, of two samples or more, and the piston has moved."""
+        return "pressure" in self.series and len(self.series["pressure"]) > 1 and self.series["travel"][-1] > 0
+
+    @property
+    def peak(self) -> int:
+        """Sample at which the pressure is largest."""
+        return int(np.argmax(self.series["pressure"]))
+
+    @property
+    def window(self) -> np.ndarray:
+        """Samples of the last part of the travel."""
+        travel = self.series["travel"]
+        return travel >= (1 - WINDOW) * travel[-1]
+
+    @property
+    def on_plateau(self) -> bool:
+        """The piston moved at its final speed all through the window, and the pressure was as high just before it."""
+        if not self.pumped:
+            return False
+        travel, pressure = self.series["travel"], self.series["pressure"]
+        begin = (1 - WINDOW) * travel[-1]
+        if self.scene.pipe is not None and begin < self.scene.pipe.ramp:
+            return False
+        ahead = (travel >= begin - WINDOW * travel[-1]) & (travel < begin)
+        if not ahead.any():
+            return False
+        late = pressure[self.window].mean()
+        return bool(abs(late - pressure[ahead].mean()) <= LEVEL * abs(late))
+
+
+def momentum_balance(known: Known) -> float:
+    """Impulse of all walls, drives and gravity less the change of momentum, over the impulse of gravity or walls.
+
+    Taken over the second half of the run, over all of it where there are fewer than four samples; NaN for one.
+    """
+    series = known.series
+    last = len(series["time"]) - 1
+    if last < 1:
+        return float("nan")
+    first = (last + 1) // 2 if last >= 3 else 0
+    span = series["time"][last] - series["time"][first]
+    residual, size = np.zeros(3), np.zeros(3)
+    for axis, letter in enumerate("xyz"):
+        drive = np.trapezoid(series[f"drive_{letter}"][first:], series["time"][first:])
+        wall = [-np.diff(series[f"{w.name}_impulse_{letter}"][[first, last]])[0] for w in known.walls]
+        gravity = known.mass * known.scene.gravity[axis] * span
+        change = series[f"momentum_{letter}"][last] - series[f"momentum_{letter}"][first]
+        residual[axis] = gravity + drive + sum(wall) - change
+        size[axis] = max([abs(gravity), abs(drive), *map(abs, wall)])
+    return float(np.linalg.norm(residual) / max(np.linalg.norm(size), 1e-300))
+
+
+def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
+    """Energy stored in bodies, contacts and bonds less the work of walls and drives [J]; only losses change it."""
+    return sum(series[name] for name in STORED) - series["wall_work"] - series["drive_work"]
+
+
+def energy_balance(known: Known) -> float | None:
+    """Stored and dissipated energy less work, at the end against the start.
+
+    Over the work, the dissipation or the largest energy of motion and springs, whichever is most. None where losses
+    were not added up (`Scene.energy_balance`), NaN where nothing ever moved.
+    """
+    series = known.series
+    if "dissipated_energy" not in series:
+        return None
+    if len(series["time"]) < 2:
+        return float("nan")
+    lost = series["dissipated_energy"][-1] - series["dissipated_energy"][0]
+    residual = np.diff(free_energy(series)[[0, -1]])[0] + lost
+    work = abs(series["wall_work"][-1] + series["drive_work"][-1])
+    moving = float(np.max(series["kinetic_energy"] + series["elastic_energy"] + series["bond_energy"]))
+    size = max(work, abs(lost), moving)
+    return float(residual / size) if size > 0 else float("nan")
+
+
+def _beside(run: Run, name: str) -> str:
+    """What a publication has for a pressure."""
+    published = run.scene.published
+    value = getattr(published, name) if published else None
+    return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"
+
+
+def _peak_words(run: Run) -> str:
+    peak, at = number(run.result["peak_pressure"]), number(run.result["peak_travel"])
+    return f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{_beside(run, 'peak')}"
+
+
+def _plateau_words(run: Run) -> str:
+    return f"{number(run.result['plateau_pressure']) / 1e3:.2f} kPa{_beside(run, 'plateau')}"
+
+
+def no_plateau(run: Run) -> str:
+    """Why a run with a pressure has no plateau; empty if it has one."""
+    if "end_pressure" not in run.result or "plateau_pressure" in run.result:
+        return ""
+    travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
+    if pipe is not None and (1 - WINDOW) * travel < pipe.ramp:
+        return (
+            f"none: of {travel:.4g} m of travel the last {WINDOW * travel:.3g} m must come after the ramp of "
+            f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
+        )
+    return f"none: the pressure still changes by more than {100 * LEVEL:.0f} % from one fifth of the travel to the next"
+
+
+def _pumped(of):
+    return lambda known: of(known) if known.pumped else None
+
+
+def _level(of):
+    return lambda known: of(known) if known.on_plateau else None
+
+
+QUANTITIES = (
+    Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure", _peak_words, True),
+    Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
+    Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",
+             _plateau_words, True),
+    Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std())),
+    Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0])),
+    Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean())),
+    Quantity("coordination_number", "1", lambda k: k.contacts.coordination_number),
+    Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
+    Quantity("momentum_balance_error", "1", momentum_balance),
+    Quantity("energy_balance_error", "1", energy_balance),
+)  # fmt: skip
+
+
+def report(run: Run) -> Iterator[tuple[str, str]]:
+    """Lines about a run besides its quantities."""
+    if words := no_plateau(run):
+        end = number(run.result["end_pressure"])
+        yield "plateau pressure", words
+        yield "pressure at the end", f"{end / 1e3:.2f} kPa"
+    packing = run.packing  # type: ignore[attr-defined]
+    if packing:
+        yield "packing", (
+            f"{packing.bodies} aggregates, solid fraction {packing.solid_fraction:.3f}, "
+            f"{packing.coordination_number:.1f} neighbours each"
+        )

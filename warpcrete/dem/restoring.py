@@ -1,0 +1,89 @@
+"""States as what a checkpoint keeps, and their hash."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .bodies import BodyTable, placed_bodies
+from .model import Model
+from .probes import listed_pairs
+from .state import NUMBERS, PAIR_ARRAYS, State
+
+EMPTY = {("spheres", "force"), ("spheres", "moment")}
+"""Arrays that are zero between two steps."""
+
+
+def state_dict(state: State) -> dict[str, Any]:
+    """Everything that the next step depends on: arrays by struct and name, and numbers."""
+    found: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
+    for struct, name, array in state.arrays():
+        if (struct, name) not in EMPTY:
+            data = array.numpy()
+            listed = struct == "pairs" and name in PAIR_ARRAYS
+            found.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
+    return found
+
+
+def restored(model: Model, found: dict[str, Any]) -> State:
+    """State of a `state_dict`."""
+    scene = model.scene
+    table = BodyTable.empty()
+    if scene.fill is not None:
+        table.templates = tuple(scene.fill.templates)
+    state = State(model, BodyTable.empty())
+    state.templates = table.joined(placed_bodies(scene)).templates
+    for name, value in found["numbers"].items():
+        setattr(state, name, value)
+    state.flags.assign(found["flags"])
+    for struct, name, array in list(state.arrays()):
+        if (struct, name) in EMPTY:
+            made = wp.zeros(state.sphere_count, dtype=array.dtype, device=model.device)
+        else:
+            data = found[struct][name]
+            if data.size == 0:
+                made = wp.zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device)
+            else:
+                made = wp.array(data, dtype=array.dtype, ndim=array.ndim, device=model.device)
+        setattr(getattr(state, struct), name, made)
+    return state
+
+
+def state_hash(state: State) -> str:
+    """SHA-256 of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
+
+    Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory.
+    """
+    digest = hashlib.sha256()
+    features = state.model.features
+    order = np.argsort(state.bodies.id.numpy())
+    for name in ("position", "rounding", "velocity", "spin", "orientation", "angular_momentum", "size", "mass"):
+        digest.update(np.ascontiguousarray(getattr(state.bodies, name).numpy()[order]).tobytes())
+    i, j, place = listed_pairs(state)
+    ids = state.spheres.id.numpy()
+    position = state.spheres.position.numpy()
+    reach = position[i, 3] + position[j, 3]
+    kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
+    if features.bonds:
+        kept |= state.pairs.bond.numpy()[place] != 0
+    low, high = np.minimum(ids[i], ids[j])[kept], np.maximum(ids[i], ids[j])[kept]
+    ranks = np.lexsort([high, low])
+    digest.update(np.stack([low, high])[:, ranks].astype(np.int32).tobytes())
+    chosen = place[kept][ranks]
+    if features.history:
+        digest.update(state.pairs.history.numpy()[chosen].tobytes())
+    if features.bonds:
+        for array in (state.pairs.bond, state.pairs.bond_force, state.pairs.bond_moment):
+            digest.update(array.numpy()[chosen].tobytes())
+    by_sphere = np.argsort(ids)
+    for array in (state.slots.history, state.slots.normal, state.slots.overlap, state.slots.wall):
+        if len(array) == 0:
+            continue
+        digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
+    for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
+        digest.update(getattr(state.walls, name).numpy().tobytes())
+    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # time and step sizes
+    return digest.hexdigest()

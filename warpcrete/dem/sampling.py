@@ -1,0 +1,166 @@
+"""The rows of the series: what a run of discrete elements writes down at every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..geometry.rotation import rotate
+from ..geometry.walls import Wall
+from ..kernels.dem.structs import DT, DT_PREVIOUS, TIME
+from .model import Model
+from .probes import body_sums, contact_sums
+from .state import State
+
+UNITS = {
+    "time": "s",
+    "travel": "m",
+    "pressure": "Pa",
+    "kinetic_energy": "J",
+    "potential_energy": "J",
+    "elastic_energy": "J",
+    "bond_energy": "J",
+    "wall_work": "J",
+    "drive_work": "J",
+    "dissipated_energy": "J",
+    "contacts": "1",
+    "bonds": "1",
+    "hydrated_bonds": "1",
+    "broken_tension": "1",
+    "broken_shear": "1",
+    "mean_overlap": "1",
+    "largest_overlap": "1",
+    "deepest_overlap": "1",
+    "time_step": "s",
+    "reach": "m",
+}
+VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
+"""Of columns that end in an axis."""
+WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
+"""Of columns that begin with a wall's name and end in an axis."""
+AXES = "xyz"
+STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
+"""Energies that come back."""
+
+
+def unit_of(column: str, walls: Sequence[Wall]) -> str:
+    """Unit of a column of the series of a scene with these walls; KeyError for one that has none."""
+    if column in UNITS:
+        return UNITS[column]
+    name, _, axis = column.rpartition("_")
+    if axis in AXES and name in VECTOR_UNITS:
+        return VECTOR_UNITS[name]
+    wall, _, kind = name.rpartition("_")
+    if axis in AXES and kind in WALL_UNITS and wall in [w.name for w in walls]:
+        return WALL_UNITS[kind]
+    raise KeyError(f"column {column!r} has no unit; enter it in warpcrete/dem/sampling.py")
+
+
+class Sampler:
+    """Makes the rows of the series. Forces on walls are means since the row before."""
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+        self.rows: list[dict[str, float]] = []
+        self._impulse: np.ndarray | None = None
+        self._mean = np.zeros((len(model.walls), 6))
+        self._half_time = 0.0
+        self._power = 0.0
+        self._drive_work = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next row depends on, and the rows so far, as arrays and numbers."""
+        return {
+            "columns": list(self.rows[0]) if self.rows else [],
+            "rows": np.array([list(row.values()) for row in self.rows]),
+            "impulse": self._impulse,
+            "mean": self._mean,
+            "half_time": self._half_time,
+            "power": self._power,
+            "drive_work": self._drive_work,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`."""
+        self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
+        self._impulse, self._mean = state["impulse"], state["mean"]
+        self._half_time, self._power = float(state["half_time"]), float(state["power"])
+        self._drive_work = float(state["drive_work"])
+
+    def series(self) -> dict[str, np.ndarray]:
+        """Columns by name."""
+        return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
+
+    def sample(self) -> dict[str, float]:
+        """Measure, and append a row."""
+        model, state, scene = self.model, self.state, self.model.scene
+        bodies, contacts = body_sums(model, state), contact_sums(model, state)
+        clock = state.scenes.clock.numpy()[0]
+        impulse = self._forces(clock, bodies.drive_power)
+        row = {"time": float(clock[int(TIME)])} | self._pressure()
+        row |= {
+            "kinetic_energy": bodies.kinetic_energy,
+            "potential_energy": bodies.potential_energy,
+            "elastic_energy": contacts.elastic_energy,
+            "bond_energy": contacts.bond_energy,
+            "wall_work": float(state.walls.work.numpy().sum()),
+            "drive_work": self._drive_work,
+        }
+        if model.features.dissipation:
+            by_number = np.argsort(state.spheres.id.numpy())
+            row["dissipated_energy"] = float(state.spheres.dissipated_energy.numpy()[by_number].sum())
+        row |= {
+            "contacts": contacts.contacts,
+            "bonds": contacts.bonded,
+            "hydrated_bonds": contacts.hydrated if scene.hydration else 0,
+            "broken_tension": contacts.broken_tension,
+            "broken_shear": contacts.broken_shear,
+            "mean_overlap": contacts.mean_overlap,
+            "largest_overlap": contacts.largest_overlap,
+            "deepest_overlap": contacts.deepest,
+            "time_step": float(clock[int(DT)]),
+            "reach": bodies.reach,
+        }
+        for axis, letter in enumerate(AXES):
+            row[f"momentum_{letter}"] = float(bodies.momentum[axis])
+            row[f"drive_{letter}"] = float(bodies.drive_force[axis])
+            for number, wall in enumerate(model.walls):
+                row[f"{wall.name}_force_{letter}"] = float(self._mean[number, axis])
+                row[f"{wall.name}_moment_{letter}"] = float(self._mean[number, 3 + axis])
+                row[f"{wall.name}_impulse_{letter}"] = float(impulse[number, axis])
+        self.rows.append(row)
+        return row
+
+    def _forces(self, clock: np.ndarray, drive_power: float) -> np.ndarray:
+        """Impulses on all walls so far, shape (walls, 6); brings their mean forces and the drives' work up to date."""
+        walls = self.state.walls
+        impulse = _joined(walls.impulse, walls.angular_impulse)
+        # Forces have acted up to the middle of the last step.
+        half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
+        if self._impulse is None:
+            self._mean = _joined(walls.force, walls.moment)
+        elif half_time > self._half_time:
+            span = half_time - self._half_time
+            self._mean = (impulse - self._impulse) / span
+            self._drive_work += 0.5 * span * (self._power + drive_power)
+        self._impulse, self._half_time, self._power = impulse, half_time, drive_power
+        return impulse
+
+    def _pressure(self) -> dict[str, float]:
+        """Travel and pressure of the wall that the scene's probe names."""
+        probe, walls = self.model.scene.pressure, self.state.walls
+        if probe is None:
+            return {}
+        number = next(k for k, wall in enumerate(self.model.walls) if wall.name == probe.wall)
+        turn = walls.orientation.numpy().reshape(-1, 4)[number].astype(float)
+        normal = rotate(turn[None], np.array([self.model.walls[number].normal]))[0]  # type: ignore[union-attr]
+        return {
+            "travel": float(walls.travel.numpy()[number]),
+            "pressure": float(-self._mean[number, :3] @ normal / probe.area),
+        }
+
+
+def _joined(forces: Any, moments: Any) -> np.ndarray:
+    return np.concatenate([forces.numpy().reshape(-1, 3), moments.numpy().reshape(-1, 3)], axis=1)

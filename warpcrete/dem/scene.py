@@ -1,0 +1,297 @@
+"""What a simulation of discrete elements is asked to be: frozen, validated dataclasses in SI units.
+
+Defaults are the reference concrete of Zhan et al. 2019, Table 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+from ..core.device import PRECISIONS
+from ..core.errors import between, one_of, positive, refuse, vector
+from ..core.parameters import Above, Declared, Within
+from ..geometry.axis import Axis
+from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Wall
+from .clumps import ClumpTemplate
+from .containers import Fill
+from .laws import Contact, ContactLaw
+
+__all__ = [
+    "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
+    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
+    "Wall", "Watch",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bonds(Declared):
+    """Parallel bonds (Zhan et al. 2019, Eqs. 9-12)."""
+
+    called = "bond"
+
+    effective_modulus: Annotated[float, "bond stiffness per area is this modulus [Pa] over L", Above()] = 2e4
+    stiffness_ratio: Annotated[float, "normal over shear bond stiffness", Above()] = 2.0
+    tensile_strength: Annotated[float, "[Pa]", Within(0)] = 10.0
+    cohesion: Annotated[float, "[Pa]", Within(0)] = 5.0
+    friction_angle: Annotated[
+        float, "[degrees]; raises the shear strength under compression, lowers it under tension", Within(0, 89)
+    ] = 30.0
+    radius_multiplier: Annotated[float, "bond radius over the smaller sphere's radius", Above()] = 1.0
+    moment_factor: Annotated[
+        float, "part of bending and twisting moment in the peak stresses (beta in Eq. 11)", Within(0, 1)
+    ] = 1.0
+    gap: Annotated[float, "largest gap across which a bond is made [m]", Within(0)] = 0.0
+    healing: Annotated[
+        bool, "new contacts bond at first touch; otherwise only the contacts present at the start are bonded"
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hydration(Declared):
+    """A random part of the bonded contacts gets other bonds (Zhan et al. 2019, section 5.3.2)."""
+
+    called = "hydration"
+
+    fraction: Annotated[float, "of all bonded contacts, 0 to 1", Within(0, 1)]
+    bonds: Bonds = field(default_factory=lambda: Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisDrive:
+    """Constant force on every body of a group, along the local direction of a pipe axis."""
+
+    group: str
+    axis: Axis
+    force: float
+    """Sum over the group [N]; negative pushes against the axis' direction."""
+
+    def __post_init__(self) -> None:
+        between("drive force", self.force, -np.inf, np.inf, "N")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bodies:
+    """Bodies placed one by one."""
+
+    positions: np.ndarray
+    """Centroids [m], shape (n, 3)."""
+    sizes: np.ndarray
+    """Diameters of the spheres of equal volume [m], shape (n,) or one number."""
+    template: ClumpTemplate | None = None
+    """None: single spheres."""
+    density: float = 2500.0
+    """[kg/m3]"""
+    material: str = "aggregate"
+    group: str = ""
+    orientations: np.ndarray | None = None
+    """Unit quaternions x, y, z, w, shape (n, 4)."""
+    velocities: np.ndarray | None = None
+    """[m/s], shape (n, 3)."""
+    spins: np.ndarray | None = None
+    """[rad/s], shape (n, 3), in space."""
+
+    def __post_init__(self) -> None:
+        try:
+            positions = np.atleast_2d(np.asarray(self.positions, dtype=float))
+        except (TypeError, ValueError):
+            refuse("positions", self.positions, "must be finite, shape (n, 3)")
+        if positions.size == 0:
+            positions = positions.reshape(0, 3)
+        if positions.shape[1:] != (3,) or not np.all(np.isfinite(positions)):
+            refuse("positions", f"shape {positions.shape}", "must be finite, shape (n, 3)")
+        n = len(positions)
+        try:
+            sizes = np.broadcast_to(np.asarray(self.sizes, dtype=float), (n,))
+        except (TypeError, ValueError):
+            refuse("sizes", self.sizes, f"must be one number or {n} numbers")
+        if not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
+            refuse("sizes", float(np.min(sizes)), "must be finite numbers above 0 m")
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "sizes", sizes)
+        positive("density", self.density, "kg/m3")
+        for name, width in (("orientations", 4), ("velocities", 3), ("spins", 3)):
+            value = getattr(self, name)
+            if value is not None:
+                try:
+                    value = np.asarray(value, dtype=float)
+                except (TypeError, ValueError):
+                    refuse(name, value, f"must be finite, shape ({n}, {width})")
+                if value.shape != (n, width) or not np.all(np.isfinite(value)):
+                    refuse(name, f"shape {value.shape}", f"must be finite, shape ({n}, {width})")
+                if name == "orientations" and np.any(np.abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
+                    refuse(name, "a quaternion not of length 1", "must be unit quaternions x, y, z, w")
+                object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeStep(Declared):
+    """How the step size is chosen."""
+
+    fixed: Annotated[float | None, "[s]; None: from masses and live stiffness"] = None
+    safety: Annotated[
+        float, "of the estimated stable step; above 1 overrules the estimate, also for a fixed step", Within(1e-3, 10)
+    ] = 0.8
+    largest: Annotated[float, "cap of the automatic step [s]", Above()] = 1e-3
+    interval: Annotated[int, "steps between two estimates"] = 20
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fixed is not None:
+            positive("time_step", self.fixed, "s", "leave it out for an automatic step")
+        if self.interval < 1:
+            refuse("interval", self.interval, "must be a whole number of steps, 1 or more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settle(Declared):
+    """Quiet time before t = 0: prescribed walls stand still, gravity and drives act, motion is damped."""
+
+    called = "settle"
+
+    duration: Annotated[
+        float, "longest [s]; ends earlier once the kinetic energy is a hundred-thousandth of the elastic", Within(0)
+    ] = 2.0
+    local_damping: Annotated[
+        float, "part of the unbalanced force that opposes motion (PFC's local damping)", Within(0, 0.99)
+    ] = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch(Declared):
+    """Limits past which a run stops with an InstabilityError. NaN is always one."""
+
+    called = "watch"
+
+    overlap: Annotated[
+        float | None,
+        "of the overlap that swallows the smaller sphere whole or halves the distance of the centres, whichever comes "
+        "first, or brings a centre behind a wall; checked at every sample. None: no limit",
+        Above(),
+    ] = 1.0
+    speed: Annotated[float, "[m/s], of any body, checked in every step", Above()] = 1e3
+    energy: Annotated[
+        float | None,
+        "of all energy in play, what may appear without work of walls, drives or gravity; checked at every sample. "
+        "None: no limit",
+        Above(),
+    ] = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressureProbe:
+    """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
+
+    wall: str
+    """Name of a :class:`PlaneWall` of the scene."""
+    area: float
+    """[m2]"""
+
+    def __post_init__(self) -> None:
+        positive("pressure area", self.area, "m2")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipeUnit:
+    """A pipe through which a piston pushes concrete: what measurements, checks and pictures of it need."""
+
+    name: str
+    axis: Axis
+    radius: float
+    """Inner, of the pipe [m]; of one that is not round, the wanted one."""
+    concrete_length: float
+    """At the start [m]."""
+    velocity: float
+    """Of the piston in the end [m/s]."""
+    ramp: float
+    """Travel of the piston over which its velocity rises from rest [m]."""
+    travel: float
+    """Of the piston at the end [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """What a publication reports for a scene, to be shown beside ours."""
+
+    source: str
+    peak: float | None = None
+    """Of the pressure [Pa]."""
+    plateau: float | None = None
+    """Of the pressure [Pa]."""
+    peak_travel: float | None = None
+    """Of the piston, where the peak stands [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Scene:
+    """Everything that a simulation of discrete elements needs to know, in SI units."""
+
+    name: str
+    duration: float
+    """Simulated time [s]."""
+    bodies: tuple[Bodies, ...] = ()
+    fill: Fill | None = None
+    """Aggregates to be packed into a container before the start."""
+    walls: tuple[Wall, ...] = ()
+    drives: tuple[AxisDrive, ...] = ()
+    contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
+    """Overrides of `contact` for pairs of materials, in either order."""
+    contact: ContactLaw = field(default_factory=Contact)
+    """Law between bodies, and against walls. Each of the two must be one law throughout a scene, with parameters
+    that may differ from one pair of materials to the next."""
+    bonds: Bonds | None = None
+    hydration: Hydration | None = None
+    group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
+    """Bonds inside a group of bodies, made before settling (the plug)."""
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    """[m/s2]"""
+    local_damping: float = 0.0
+    settle: Settle | None = None
+    time_step: TimeStep = field(default_factory=TimeStep)
+    watch: Watch = field(default_factory=Watch)
+    sample_interval: float = 0.01
+    """Simulated time between two rows of the series [s]."""
+    seed: int = 0
+    precision: str = "float32"
+    """`float32` or `float64`, of positions, velocities and forces."""
+    energy_balance: bool = False
+    """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
+    pressure: PressureProbe | None = None
+    pipe: PipeUnit | None = None
+    published: Published | None = None
+    remarks: tuple[str, ...] = ()
+    """What the scene simplifies, to be told before a run."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments that make this scene again through its scene function; empty if it has none."""
+
+    def __post_init__(self) -> None:
+        between("duration", self.duration, 0, np.inf, "s")
+        positive("sample_interval", self.sample_interval, "s")
+        object.__setattr__(self, "gravity", vector("gravity", self.gravity))
+        between("local_damping", self.local_damping, 0, 0.99)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
+            refuse("seed", self.seed, "must be a whole number, 0 or more")
+        one_of("precision", self.precision, PRECISIONS)
+        names = [wall.name for wall in self.walls]
+        if len(set(names)) != len(names):
+            refuse("walls", names, "must have different names")
+        planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
+        if self.pressure is not None and self.pressure.wall not in planes:
+            refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
+        driven = [drive.group for drive in self.drives]
+        if len(set(driven)) != len(driven):
+            refuse("drives", driven, "may name each group once")
+        groups = {bodies.group for bodies in self.bodies if bodies.group and len(bodies.positions)}
+        for group in [drive.group for drive in self.drives] + list(self.group_bonds):
+            if group not in groups:
+                refuse("group", group, f"must be one of the bodies' groups ({', '.join(sorted(groups)) or 'none'})")
+        if self.hydration is not None and self.bonds is None:
+            refuse("hydration", self.hydration, "needs bonds", "set Scene.bonds")
+
+    def __repr__(self) -> str:
+        placed = sum(len(bodies.positions) for bodies in self.bodies)
+        parts = [f"{placed} placed bodies" if placed else "", "a fill" if self.fill else "", f"{len(self.walls)} walls"]
+        return f"<Scene {self.name!r}: {self.duration:.4g} s, {', '.join(p for p in parts if p)}, seed {self.seed}>"

@@ -1,0 +1,257 @@
+"""Discrete elements from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+
+from __future__ import annotations
+
+import time as wall_clock
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from ..core.method import results_of
+from ..core.provenance import provenance
+from ..core.run_loop import Coroutine, Run, Simulation, Until, carry
+from ..core.units import quantity
+from .bodies import BodyTable, placed_bodies
+from .display import ElementDisplay
+from .memory import check_memory
+from .model import build_model
+from .packing import PackingReport, pack
+from .probes import body_sums, contact_sums
+from .quantities import QUANTITIES, Known
+from .restoring import restored, state_dict, state_hash
+from .sampling import STORED, Sampler, unit_of
+from .scene import Scene
+from .state import State
+from .stepper import Stepper
+from .watch import Watch
+
+QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
+SETTLING_PARTS = 50  # looks at that on the way
+
+
+@dataclass(repr=False)
+class ElementRun(Run):
+    """A run of discrete elements."""
+
+    packing: PackingReport | None = None
+    bodies: BodyTable = field(default_factory=BodyTable.empty)
+    """Bodies at the end."""
+
+
+class ElementSimulation(Simulation):
+    """Discrete elements; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = Scene
+    scene: Scene
+
+    def set_up(self) -> None:
+        """The model."""
+        self.model = build_model(self.scene, self.device, self.precision)
+        self.packing: PackingReport | None = None
+
+    @property
+    def prepared(self) -> bool:
+        """The state is there."""
+        return hasattr(self, "state")
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far."""
+        return self.sampler.rows
+
+    def unit(self, column: str) -> str:
+        """Unit of a column of the series."""
+        return unit_of(column, self.model.walls)
+
+    def display(self, colouring: str) -> ElementDisplay:
+        """What recorders draw."""
+        return ElementDisplay(self, colouring)
+
+    # Up to t = 0.
+
+    def prepare(self) -> None:
+        """Pack, place, bond groups, settle, bond: everything up to t = 0."""
+        scene = self.scene
+        started = wall_clock.perf_counter()
+        self.tell("packing", 0.0)
+        packed = None
+        if scene.fill is not None:
+            packed = pack(
+                scene.fill,
+                contact=scene.contact,
+                seed=scene.seed,
+                device=self.device,
+                precision=self.precision,
+                progress=lambda fraction: self.tell("packing", fraction),
+                threads=self.threads,
+            )
+        self.place(packed, wall_clock.perf_counter() - started)
+        self.join(Stepper(self.model, self.state, scene.time_step, threads=self.threads))
+        carry(self.preparing(), self.stepper.advance)
+
+    def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
+        """Make the state from what packing returned, which `took` so long [s], and the bodies that the scene places."""
+        table = BodyTable.empty()
+        if packed is not None:
+            table, self.packing = packed
+        self.tell("packing", 1.0)
+        self._spent["packing"] = took
+        table = table.joined(placed_bodies(self.scene))
+        check_memory(self.model, table)
+        self.state = State(self.model, table)
+
+    def join(self, stepper: Stepper) -> None:
+        """Take the stepper that will carry the state, alone or in a batch."""
+        self.stepper = stepper
+        settling = self.scene.settle is not None and self._resumed is None
+        damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
+        stepper.change(local_damping=damping)
+
+    def preparing(self) -> Coroutine:
+        """From placed bodies to t = 0."""
+        scene, model = self.scene, self.model
+        first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
+        for number, (group, bonds) in enumerate(scene.group_bonds.items()):
+            self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
+        self.stepper.choose_dt()  # refuses an unstable fixed step before anything is written
+
+        started = wall_clock.perf_counter()
+        if scene.settle and scene.settle.duration > 0:
+            with self._walls_held():
+                yield from self._settling(scene.settle.duration)
+            self.stepper.change(local_damping=scene.local_damping)
+        self._spent["settling"] = wall_clock.perf_counter() - started
+        self.stepper.restart_clock()
+        if scene.bonds is not None and scene.bonds.healing:
+            # Contacts that healed while settling carry its loads: all of the scene's bonds start anew at t = 0.
+            kinds = self.state.pairs.bond.numpy()
+            kinds[kinds <= 1] = 0
+            self.state.pairs.bond.assign(kinds)
+        self.bond()
+        self.stepper.choose_dt()
+        self._begin()
+
+    @contextmanager
+    def _walls_held(self) -> Iterator[None]:
+        """Walls that move by prescription stand still: their motion starts with the clock of the run proper."""
+        self.stepper.change(held=1)
+        try:
+            yield
+        finally:
+            self.stepper.change(held=0)
+
+    def _settling(self, duration: float) -> Coroutine:
+        for part in range(SETTLING_PARTS):
+            if self.stop_requested:
+                raise KeyboardInterrupt
+            yield Until(duration * (part + 1) / SETTLING_PARTS)
+            self.tell("settling", (part + 1) / SETTLING_PARTS)
+            kinetic = body_sums(self.model, self.state).kinetic_energy
+            if part > 2 and kinetic < QUIET * contact_sums(self.model, self.state).elastic_energy:
+                break
+        self.tell("settling", 1.0)
+
+    def bond(self) -> None:
+        """Bond the scene's contacts as they are now, and hydrate some of them."""
+        scene = self.scene
+        if scene.bonds is None:
+            return
+        self.stepper.bond(scene.bonds, 1)
+        if scene.hydration is not None:
+            self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
+
+    def _begin(self) -> None:
+        self.stepper.running = True
+        self.sampler = Sampler(self.model, self.state)
+        self.watch = Watch(self.model, self.state)
+
+    # Checkpoints.
+
+    def state_dict(self) -> dict[str, Any]:
+        """State, stepper, sampler, watch and packing."""
+        self.stepper.batch.device_changed()
+        return {
+            "state": state_dict(self.state),
+            "stepper": self.stepper.state_dict(),
+            "sampler": self.sampler.state_dict(),
+            "watch": self.watch.state_dict(),
+            "packing": asdict(self.packing) if self.packing else None,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`, alone."""
+        self.restore(state)
+        stepper = Stepper(
+            self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"]
+        )
+        self.join(stepper)
+        self.go_on(state)
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """The arrays of a `state_dict`; `join` and `go_on` complete a resumption."""
+        self.state = restored(self.model, state["state"])
+
+    def go_on(self, state: dict[str, Any]) -> None:
+        """Sampler, watch and packing of a `state_dict`."""
+        self._begin()
+        self.sampler.load_state_dict(state["sampler"])
+        self.watch.load_state_dict(state["watch"])
+        if state["packing"] is not None:
+            self.packing = PackingReport(**state["packing"])
+
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+        self.stepper.batch.states.clear()
+        del self.state, self.stepper, self.sampler, self.watch
+
+    # Samples and results.
+
+    def measure(self) -> dict[str, float]:
+        """Measure, and append the row to `rows`."""
+        return self.sampler.sample()
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        self.watch(row)
+
+    def result(self, finished: bool) -> ElementRun:
+        """The run as it is now, with its quantities."""
+        series = self.sampler.series()
+        steps, state = self.stepper.steps, self.state
+        running = self._spent.get("running", 0.0)
+        result: dict[str, Any] = {
+            "scene": self.scene.name,
+            "method": "dem",
+            "finished": finished,
+            "simulated_time": quantity(self.stepper.time, "s"),
+            "steps": steps,
+            "bodies": state.body_count,
+            "spheres": state.sphere_count,
+        }
+        if self.scene.pipe is not None:
+            result["unit"] = self.scene.pipe.name
+            result["concrete_length"] = quantity(self.scene.pipe.concrete_length, "m")
+        if self.packing is not None:
+            result["packing"] = asdict(self.packing)
+        if self.rows:
+            last = self.rows[-1]
+            result["energies_at_end"] = {
+                name: quantity(last[name], "J")
+                for name in (*STORED, "wall_work", "drive_work", "dissipated_energy")
+                if name in last
+            }
+            mass = float(state.bodies.mass.numpy().sum(dtype=float))
+            contacts = contact_sums(self.model, state, coordination=True)
+            result |= results_of(QUANTITIES, Known(self.scene, self.model.walls, series, mass, contacts))
+        result["speed"] = {
+            "wall_time": quantity(running, "s"),
+            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
+            "settling_time": quantity(self._spent.get("settling", 0.0), "s"),
+            "steps_per_second": quantity(steps / max(running, 1e-9), "1/s"),
+            "sphere_steps_per_second": quantity(steps * state.sphere_count / max(running, 1e-9), "1/s"),
+        }
+        result["state_hash"] = state_hash(state)
+        result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
+        units = {name: self.unit(name) for name in series}
+        return ElementRun(self.scene, series, units, result, finished, packing=self.packing, bodies=state.table())

@@ -1,0 +1,111 @@
+"""Size distributions of aggregates. A size is the diameter of the sphere of equal volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import positive, refuse
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Normal distribution by number, cut to a range (Zhan et al. 2019, section 3.3)."""
+
+    mean: float = 12.5e-3
+    deviation: float = 7.5e-3
+    smallest: float = 5e-3
+    largest: float = 20e-3
+
+    def __post_init__(self) -> None:
+        _check_range(self.smallest, self.largest)
+        positive("mean size", self.mean, "m")
+        positive("size deviation", self.deviation, "m")
+        if not self.smallest - 3 * self.deviation <= self.mean <= self.largest + 3 * self.deviation:
+            refuse("mean size", self.mean, f"lies far outside the range [{self.smallest:g}, {self.largest:g}] m")
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """`count` sizes [m]."""
+        if self.smallest == self.largest:
+            return np.full(count, self.smallest)
+        sizes = np.empty(0)
+        while len(sizes) < count:
+            draw = random.normal(self.mean, self.deviation, 2 * count + 16)
+            sizes = np.concatenate([sizes, draw[(draw >= self.smallest) & (draw <= self.largest)]])
+        return sizes[:count]
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Equal numbers at every size of a range."""
+
+    smallest: float
+    largest: float
+
+    def __post_init__(self) -> None:
+        _check_range(self.smallest, self.largest)
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """`count` sizes [m]."""
+        return random.uniform(self.smallest, self.largest, count)
+
+
+@dataclass(frozen=True)
+class SieveCurve:
+    """Grading curve of a mix design: the share of the *mass* that passes each opening.
+
+    Between two openings mass is spread evenly over the logarithm of the size.
+    """
+
+    openings: tuple[float, ...]
+    """Rising [m]."""
+    passing: tuple[float, ...]
+    """Rising shares of the mass, from 0 at the first opening to 1 at the last."""
+
+    def __post_init__(self) -> None:
+        try:
+            openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
+        except (TypeError, ValueError):
+            refuse("openings", self.openings, "openings and passing must be rows of numbers")
+        if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
+            refuse("openings", self.openings, "openings and passing must be finite numbers")
+        if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
+            refuse("openings", self.openings, "needs two or more, one `passing` share each")
+        if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
+            refuse("openings", self.openings, "must be above 0 m and rising")
+        if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
+            refuse("passing", self.passing, "must rise from 0 to 1")
+        object.__setattr__(self, "openings", tuple(openings.tolist()))
+        object.__setattr__(self, "passing", tuple(passing.tolist()))
+
+    @property
+    def smallest(self) -> float:
+        """[m]"""
+        return self.openings[0]
+
+    @property
+    def largest(self) -> float:
+        """[m]"""
+        return self.openings[-1]
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """`count` sizes [m]: within a fraction, number density falls as size^-4 for even mass per logarithm."""
+        openings, share = np.array(self.openings), np.diff(self.passing)
+        inverse_cubes = openings**-3
+        # Number of particles per unit of mass in each fraction.
+        number = share * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
+        fraction = random.choice(len(share), size=count, p=number / number.sum())
+        u = random.uniform(size=count)
+        low, high = inverse_cubes[fraction + 1], inverse_cubes[fraction]
+        return (low + u * (high - low)) ** (-1 / 3)
+
+
+Sizes = Gaussian | Uniform | SieveCurve
+
+
+def _check_range(smallest: float, largest: float) -> None:
+    positive("smallest size", smallest, "m")
+    positive("largest size", largest, "m")
+    if largest < smallest:
+        refuse("largest size", largest, f"must not be below the smallest ({smallest:g} m)")

@@ -1,0 +1,67 @@
+"""One step of the discrete element method: contacts, walls, meshes, the walls' motion, the bodies', the clock."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from ..core.launching import Stage, barrier_stage
+from ..kernels.common.types import SPAN
+from ..kernels.dem.analytic_walls import wall_kernel
+from ..kernels.dem.clock import clock_kernel
+from ..kernels.dem.contacts import contact_kernel
+from ..kernels.dem.mesh_contacts import mesh_kernel
+from ..kernels.dem.motion import clump_kernel, sphere_kernel
+from ..kernels.dem.wall_motion import advance_kernel
+from .batch import Batch
+
+
+def tasks(batch: Batch, bodies: int) -> int:
+    """Tasks of a kernel over so many bodies."""
+    return -(-bodies // SPAN) if batch.features.half_list else bodies
+
+
+def step_stages(batch: Batch) -> list[list[Stage]]:
+    """Stages of one step on the arrays that the batch holds now, a list for each thread."""
+    b, f = batch, batch.features
+    meet = barrier_stage(b.threads, b.device)
+    step = []
+    chunks = zip(pairwise(b.sphere_chunks.tolist()), pairwise(b.body_chunks.tolist()))
+    for part, (spheres, bodies) in enumerate(chunks):
+        stages = _contacts(b, part, *spheres)
+        stages += meet
+        if part == 0 and f.walls:
+            stages.append(b.stage(advance_kernel(b.scalar), b.wall_count))
+        stages.append(_motion(b, *bodies))
+        stages += meet
+        if part == 0:
+            stages.append(b.stage(clock_kernel(b.scalar, f.growth), b.count))
+        stages += meet
+        step.append(stages)
+    return step
+
+
+def _contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
+    """Forces on a chunk of spheres: by each other, by planes and pipes, by meshes."""
+    b, f = batch, batch.features
+    chunk = {"first": first, "last": last, "part": part}
+    together = f.analytic and not f.half_list
+    contacts = contact_kernel(
+        b.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds, f.healing, together, f.dissipation
+    )
+    stages = [b.stage(contacts, tasks(b, last - first), **chunk)]
+    if f.analytic and not together:
+        stages.append(b.stage(wall_kernel(b.scalar, f.wall_law, f.dissipation), tasks(b, last - first), **chunk))
+    if f.meshes:
+        meshes = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
+        stages.append(b.stage(meshes, tasks(b, last - first), **chunk))
+    return stages
+
+
+def _motion(batch: Batch, first: int, last: int) -> Stage:
+    """Motion of a chunk of bodies."""
+    b, f = batch, batch.features
+    if f.clumps:
+        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.dissipation)
+    else:
+        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
+    return b.stage(kernel, tasks(b, last - first), first=first, last=last)

@@ -1,0 +1,85 @@
+"""Watch over a run: stops it when its state no longer means anything."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ..core.errors import InstabilityError
+from .model import Model
+from .probes import deepest_sphere, farthest_body, fastest_body
+from .sampling import STORED
+from .state import State
+
+COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
+
+
+class Watch:
+    """Checks every row of the series; speed is also checked in every step, on the device.
+
+    It costs a few additions a sample, since the series measures overlap and energies anyway.
+    """
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+        self.limits = model.scene.watch
+        self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
+        # Less than what lifts everything by a hundredth of the smallest radius is of no interest.
+        mass = state.total_mass
+        self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
+        self.least = math.inf
+        self.scale = 0.0  # the energy in play, at its largest so far
+
+    def state_dict(self) -> dict[str, float]:
+        """What it compares with."""
+        return {"least": self.least, "scale": self.scale}
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Go on from a `state_dict`."""
+        self.least, self.scale = state["least"], state["scale"]
+
+    def __call__(self, row: dict[str, float]) -> None:
+        """Raises :class:`InstabilityError` naming time, body, quantity and cures."""
+        time, limits = row["time"], self.limits
+        broken = [name for name, value in row.items() if not math.isfinite(value)]
+        if broken:
+            raise unstable(time, fastest_body(self.model, self.state), f"{broken[0]} is not a finite number")
+        deepest = row["deepest_overlap"]
+        if limits.overlap is not None and deepest > limits.overlap:
+            raise unstable(
+                time,
+                deepest_sphere(self.model, self.state),
+                f"overlap is {deepest:.3g} of what swallows a sphere or brings it behind a wall "
+                f"(watch.overlap = {limits.overlap:g})",
+                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap",
+            )
+        resolution = self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
+        if resolution > COARSEST:
+            raise unstable(
+                time,
+                farthest_body(self.state),
+                f"at {row['reach']:.4g} m from the origin positions are rounded to {resolution:.2g} of the smallest "
+                "sphere's radius",
+                "precision float64, or the scene nearer to the origin",
+            )
+        stored = sum(row[name] for name in STORED)
+        work = row["wall_work"] + row["drive_work"]
+        free = stored - work
+        moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
+        self.scale = max(self.scale, moving, abs(work), self.floor)
+        self.least = min(self.least, free)
+        if limits.energy is not None and free - self.least > limits.energy * self.scale:
+            raise unstable(
+                time,
+                fastest_body(self.model, self.state),
+                f"energy grew by {free - self.least:.3g} J that no wall or drive put in, "
+                f"{(free - self.least) / self.scale:.2g} of all there is (watch.energy = {limits.energy:g})",
+            )
+
+
+def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
+    """The error of a run that has become unstable."""
+    cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
+    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")

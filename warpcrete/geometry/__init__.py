@@ -1,0 +1,1 @@
+"""Axes, meshes and walls: one description for every method."""

@@ -1,0 +1,203 @@
+"""Pipe axes: lines and arcs in a row, and the tube meshes around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import between, positive, refuse, vector
+
+
+@dataclass(frozen=True)
+class Line:
+    """Straight piece."""
+
+    length: float
+    """[m]"""
+
+    def __post_init__(self) -> None:
+        positive("length", self.length, "m")
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Bend towards a direction."""
+
+    radius: float
+    """Of the centreline [m]."""
+    angle: float
+    """[rad]"""
+    towards: tuple[float, float, float]
+    """Direction from the start of the bend to its centre (made perpendicular to the axis)."""
+
+    def __post_init__(self) -> None:
+        positive("elbow radius", self.radius, "m")
+        between("angle", self.angle, 1e-6, np.pi, "rad")
+        object.__setattr__(self, "towards", vector("towards", self.towards))
+
+    @property
+    def length(self) -> float:
+        """Of the centreline [m]."""
+        return self.radius * self.angle
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Centreline of a pipe. Its ends go on straight without bound when a pipe's surface is exact."""
+
+    start: tuple[float, float, float]
+    tangent: tuple[float, float, float]
+    pieces: tuple[Line | Arc, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", vector("axis start", self.start))
+        tangent = np.array(vector("axis tangent", self.tangent))
+        if not np.any(tangent) or not self.pieces:
+            refuse("axis", self.pieces, "needs a direction and at least one piece")
+        object.__setattr__(self, "tangent", tuple(tangent / np.linalg.norm(tangent)))
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return sum(piece.length for piece in self.pieces)
+
+    def segments(self) -> list[dict]:
+        """Each piece with its start, tangent and, for arcs, `outward` (unit vector from its centre)."""
+        x, tangent = np.array(self.start), np.array(self.tangent)
+        result = []
+        for piece in self.pieces:
+            if isinstance(piece, Line):
+                result.append(dict(piece=piece, start=x, tangent=tangent, outward=np.zeros(3)))
+                x = x + piece.length * tangent
+            else:
+                towards = np.array(piece.towards)
+                towards = towards - (towards @ tangent) * tangent
+                if np.linalg.norm(towards) < 1e-9:
+                    refuse("towards", piece.towards, "must not lie along the axis")
+                outward = -towards / np.linalg.norm(towards)
+                result.append(dict(piece=piece, start=x, tangent=tangent, outward=outward))
+                centre = x - piece.radius * outward
+                c, s = np.cos(piece.angle), np.sin(piece.angle)
+                x = centre + piece.radius * (c * outward + s * tangent)
+                tangent = c * tangent - s * outward
+        return result
+
+    def at(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Points and unit tangents at arc lengths `s` [m], shape (n,); before and after the ends: straight on."""
+        s = np.atleast_1d(np.asarray(s, dtype=float))
+        points, tangents = np.empty((len(s), 3)), np.empty((len(s), 3))
+        begin = 0.0
+        segments = self.segments()
+        for number, segment in enumerate(segments):
+            piece = segment["piece"]
+            lower = -np.inf if number == 0 else begin
+            upper = np.inf if number == len(segments) - 1 else begin + piece.length
+            here = (s >= lower) & (s <= upper)
+            along = s[here] - begin
+            if isinstance(piece, Line):
+                points[here] = segment["start"] + along[:, None] * segment["tangent"]
+                tangents[here] = segment["tangent"]
+            else:
+                # The extension of an end arc is straight.
+                inside = np.clip(along, 0.0, piece.length)
+                angle = inside[:, None] / piece.radius
+                outward, tangent = segment["outward"], segment["tangent"]
+                centre = segment["start"] - piece.radius * outward
+                tangents[here] = np.cos(angle) * tangent - np.sin(angle) * outward
+                points[here] = centre + piece.radius * (np.cos(angle) * outward + np.sin(angle) * tangent)
+                points[here] += (along - inside)[:, None] * tangents[here]
+            begin += piece.length
+        return points, tangents
+
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """Point of the axis, its straight extensions included, that is nearest to each of `points`, shape (n, 3)."""
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        best, distance = np.zeros_like(points), np.full(len(points), np.inf)
+        for row in self.parametrised():
+            local = points - row["start"]
+            if row["arc"]:
+                local = local + row["radius"] * row["outward"]
+                angle = np.arctan2(local @ row["tangent"], local @ row["outward"])
+                angle = np.clip(angle, row["lower"], row["upper"])[:, None]
+                turned = np.cos(angle) * row["outward"] + np.sin(angle) * row["tangent"] - row["outward"]
+                place = row["start"] + row["radius"] * turned
+            else:
+                along = np.clip(local @ row["tangent"], row["lower"], row["upper"])[:, None]
+                place = row["start"] + along * row["tangent"]
+            apart = np.linalg.norm(points - place, axis=1)
+            nearer = apart < distance
+            best[nearer], distance[nearer] = place[nearer], apart[nearer]
+        return best
+
+    def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Points, tangents and two unit normals at arc lengths `s`, each shape (n, 3); frames do not twist."""
+        points, tangents = self.at(s)
+        bends = [segment["outward"] for segment in self.segments() if isinstance(segment["piece"], Arc)]
+        first = bends[0] if bends else np.eye(3)[np.argmin(np.abs(self.tangent))]
+        side = np.cross(self.tangent, first)
+        side = side / np.linalg.norm(side)
+        if len({tuple(np.round(np.abs(np.cross(self.tangent, b)), 9)) for b in bends}) > 1:
+            refuse("axis", self.pieces, "may bend in one plane only")
+        sides = np.broadcast_to(side, points.shape).copy()
+        return points, tangents, np.cross(sides, tangents), sides
+
+    def parametrised(self) -> list[dict]:
+        """Segments with the range that counts as each: lines [m], arcs [rad]; end lines have no end.
+
+        An axis that begins or ends with an arc goes on straight there.
+        """
+        rows = []
+        segments = self.segments()
+        for number, segment in enumerate(segments):
+            piece = segment["piece"]
+            arc = isinstance(piece, Arc)
+            upper = piece.angle if arc else piece.length
+            rows.append(dict(segment, arc=arc, lower=0.0, upper=upper, radius=piece.radius if arc else 0.0))
+            if not arc and number == 0:
+                rows[-1]["lower"] = -np.inf
+            if not arc and number == len(segments) - 1:
+                rows[-1]["upper"] = np.inf
+        straight = dict(arc=False, outward=np.zeros(3), radius=0.0)
+        if rows[0]["arc"]:
+            rows.insert(0, dict(straight, start=rows[0]["start"], tangent=rows[0]["tangent"], lower=-np.inf, upper=0.0))
+        if rows[-1]["arc"]:
+            points, tangents = self.at(self.length)
+            rows.append(dict(straight, start=points[0], tangent=tangents[0], lower=0.0, upper=np.inf))
+        return rows
+
+    def tube(
+        self, radius: float, facets: int = 64, before: float = 0.0, after: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle mesh of the pipe's inner surface, open at both ends, normals inward.
+
+        Vertices lie on the circle of `radius` [m]; `facets` round, and as long as wide along bends. The tube
+        starts `before` [m] ahead of the axis and ends `after` [m] behind it. Returns vertices (v, 3) and
+        faces (f, 3).
+        """
+        between("facets", facets, 3, 100_000)
+        width = 2 * np.pi * radius / facets
+        stations = [-before] if before > 0 else []
+        begin = 0.0
+        for piece in self.pieces:
+            count = 1 if isinstance(piece, Line) else max(2, int(np.ceil(piece.length / width)))
+            stations.extend(begin + piece.length * np.arange(count) / count)
+            begin += piece.length
+        stations.append(begin)
+        if after > 0:
+            stations.append(begin + after)
+        points, _, normal, side = self.frame(np.array(stations))
+        angle = 2 * np.pi * np.arange(facets) / facets
+        ring = radius * (np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None])
+        vertices = (points[:, None] + ring).reshape(-1, 3)
+        row, column = np.meshgrid(np.arange(len(stations) - 1), np.arange(facets), indexing="ij")
+        a = (row * facets + column).ravel()
+        b = (row * facets + (column + 1) % facets).ravel()
+        c, d = a + facets, b + facets
+        faces = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
+        centres = vertices[faces].mean(1)
+        plain = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+        inward = np.repeat(points[:-1], facets, 0) - centres[: len(a)]
+        if np.sum(plain[: len(a)] * inward) < 0:
+            faces = faces[:, ::-1]
+        return vertices, np.ascontiguousarray(faces)

@@ -1,0 +1,14 @@
+"""Turning vectors on the host."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def rotate(quaternions: np.ndarray, vectors: np.ndarray, inverse: bool = False) -> np.ndarray:
+    """Rotate `vectors` (n, 3) by unit quaternions x, y, z, w (n, 4)."""
+    axis, w = quaternions[:, :3], quaternions[:, 3:]
+    if inverse:
+        axis = -axis
+    twice = 2 * np.cross(axis, vectors)
+    return vectors + w * twice + np.cross(axis, twice)

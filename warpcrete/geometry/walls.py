@@ -1,0 +1,247 @@
+"""Walls, and how they move: frozen, validated dataclasses in SI units, for every method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import between, positive, refuse, vector
+from ..kernels.common.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED
+from .axis import Axis
+
+SIDES = 48
+"""Of round walls as they are drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prescribed:
+    """Motion that nothing can change: speed ramps linearly from rest over `ramp_time`, then holds."""
+
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Final velocity [m/s]."""
+    spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Final angular velocity about `pivot` [rad/s]; with a velocity the pivot travels along."""
+    pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp_time: float = 0.0
+    """[s]"""
+    start_time: float = 0.0
+    """[s]"""
+
+    def __post_init__(self) -> None:
+        for name in ("velocity", "spin", "pivot"):
+            object.__setattr__(self, name, vector(f"motion {name}", getattr(self, name)))
+        between("ramp_time", self.ramp_time, 0, np.inf, "s")
+        between("start_time", self.start_time, 0, np.inf, "s")
+
+    def fill(self, row: Any) -> None:
+        """Enter the motion in a wall's row of a device table."""
+        row.motion = int(PRESCRIBED)
+        row.velocity, row.spin, row.pivot = self.velocity, self.spin, self.pivot
+        row.ramp_time, row.start_time = self.ramp_time, self.start_time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driven:
+    """Motion along one direction by a force against the wall's inertia (a loaded plate, a servo)."""
+
+    direction: tuple[float, float, float]
+    force: float
+    """Along `direction` [N]."""
+    mass: float
+    """[kg]"""
+    damping: float = 0.0
+    """[N s/m]"""
+    start_time: float = 0.0
+    """[s]"""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "direction", vector("direction", self.direction))
+        if not np.any(self.direction):
+            refuse("direction", self.direction, "must not be zero")
+        between("driving force", self.force, -np.inf, np.inf, "N")
+        positive("driven mass", self.mass, "kg")
+        between("driven damping", self.damping, 0, np.inf, "N s/m")
+        between("start_time", self.start_time, 0, np.inf, "s")
+
+    def fill(self, row: Any) -> None:
+        """Enter the motion in a wall's row of a device table."""
+        row.motion = int(DRIVEN)
+        row.velocity = self.direction
+        row.mass, row.drive_force, row.drive_damping = self.mass, self.force, self.damping
+        row.start_time = self.start_time
+
+
+Motion = Prescribed | Driven
+
+AddAxis = Callable[[Axis], tuple[int, int]]
+"""Adds a pipe's axis to the segments of a device; returns the range of its own."""
+
+
+class _Wall:
+    """What walls of every shape share."""
+
+    name: str
+    motion: Motion | None
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Of the wall's frame, at the start, shape (3,) [m]."""
+        return np.zeros(3)
+
+    @property
+    def reference_points(self) -> np.ndarray:
+        """Points whose speed is the wall's, shape (n, 3) [m]."""
+        return self.origin[None]
+
+    def top_speed(self) -> float:
+        """Largest speed of a prescribed motion at the reference points [m/s]; 0 without one."""
+        motion = self.motion
+        if not isinstance(motion, Prescribed):
+            return 0.0
+        lever = float(np.linalg.norm(self.reference_points - np.array(motion.pivot), axis=1).max())
+        return float(np.linalg.norm(motion.velocity)) + lever * float(np.linalg.norm(motion.spin))
+
+    def fill(self, row: Any, add_axis: AddAxis) -> None:
+        """Enter shape and motion in a row of a device table."""
+        row.motion = int(FIXED)
+        if self.motion is not None:
+            self.motion.fill(row)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneWall(_Wall):
+    """Infinite plane; material lies on the side its normal points to."""
+
+    name: str
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    material: str = "wall"
+    motion: Motion | None = None
+    drawn_radius: float = 0.0
+    """Radius of the disc that recorders draw [m]; 0 draws none."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", vector(f"{self.name}.point", self.point))
+        normal = np.array(vector(f"{self.name}.normal", self.normal))
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            refuse(f"{self.name}.normal", self.normal, "must not be zero")
+        object.__setattr__(self, "normal", tuple(normal / length))
+
+    @property
+    def origin(self) -> np.ndarray:
+        return np.array(self.point)
+
+    def fill(self, row: Any, add_axis: AddAxis) -> None:
+        super().fill(row, add_axis)
+        row.kind = int(PLANE)
+        row.normal = self.normal
+
+    def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Vertices (v, 3) and faces (f, 3) of a thin cap in the wall's frame, or None for an endless plane."""
+        if self.drawn_radius <= 0:
+            return None
+        normal = np.array(self.normal)
+        side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        side /= np.linalg.norm(side)
+        angle = np.linspace(0, 2 * np.pi, SIDES + 1)[:-1]
+        up = np.cross(normal, side)
+        ring = self.drawn_radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up)
+        # Its face lies in the wall's plane: a piston has a front and a back.
+        back = ring - 0.25 * self.drawn_radius * normal
+        vertices = np.concatenate([np.zeros((1, 3)), ring, back, back.mean(0, keepdims=True)])
+        n = len(angle)
+        k = np.arange(n)
+        following = (k + 1) % n
+        faces = np.concatenate(
+            [
+                np.stack([0 * k, 1 + k, 1 + following], 1),
+                np.stack([1 + k, 1 + n + k, 1 + following], 1),
+                np.stack([1 + following, 1 + n + k, 1 + n + following], 1),
+                np.stack([0 * k + 2 * n + 1, 1 + n + following, 1 + n + k], 1),
+            ]
+        )
+        return vertices, faces
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipeWall(_Wall):
+    """Inner surface of a round pipe along an axis of lines and arcs, exact (no facets)."""
+
+    name: str
+    axis: Axis
+    radius: float
+    """Inner radius [m]."""
+    material: str = "wall"
+    motion: Motion | None = None
+
+    def __post_init__(self) -> None:
+        positive(f"{self.name}.radius", self.radius, "m")
+        if self.motion is not None and isinstance(self.motion, Prescribed) and any(self.motion.spin):
+            refuse(f"{self.name}.motion", "spin", "a pipe wall may translate, not turn", "use a MeshWall")
+
+    @property
+    def reference_points(self) -> np.ndarray:
+        # It may only translate, so every point has its speed.
+        return np.array([self.motion.pivot if isinstance(self.motion, Prescribed) else (0.0, 0.0, 0.0)])
+
+    def fill(self, row: Any, add_axis: AddAxis) -> None:
+        super().fill(row, add_axis)
+        row.kind = int(PIPE)
+        row.radius = self.radius
+        row.first, row.last = add_axis(self.axis)
+
+    def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Vertices (v, 3) and faces (f, 3) in the wall's frame."""
+        return self.axis.tube(self.radius, SIDES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshWall(_Wall):
+    """Triangle mesh, rigid; either side may hold material."""
+
+    name: str
+    vertices: np.ndarray
+    """[m], shape (v, 3), in the wall's frame, which starts as the world's."""
+    faces: np.ndarray
+    """Shape (f, 3)."""
+    material: str = "wall"
+    motion: Motion | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            vertices = np.asarray(self.vertices, dtype=float)
+            faces = np.asarray(self.faces, dtype=np.int32)
+        except (TypeError, ValueError):
+            refuse(f"{self.name}.vertices", "not numbers", "must be finite, shape (v, 3), with faces of shape (f, 3)")
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
+            refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite, shape (v, 3)")
+        if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
+            refuse(f"{self.name}.faces", f"shape {faces.shape}", "must have shape (f, 3) with f > 0")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            refuse(f"{self.name}.faces", f"{faces.min()}..{faces.max()}", f"must lie in 0..{len(vertices) - 1}")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+
+    @property
+    def reference_points(self) -> np.ndarray:
+        return self.vertices
+
+    def fill(self, row: Any, add_axis: AddAxis) -> None:
+        super().fill(row, add_axis)
+        row.kind = int(MESH)
+        row.extent = float(np.linalg.norm(self.vertices, axis=1).max())
+
+    def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Vertices (v, 3) and faces (f, 3) in the wall's frame."""
+        return self.vertices, self.faces
+
+    def __repr__(self) -> str:
+        moves = f", motion={self.motion!r}" if self.motion is not None else ""
+        return f"MeshWall(name={self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces{moves})"
+
+
+Wall = PlaneWall | PipeWall | MeshWall

@@ -1,0 +1,26 @@
+"""The methods of simulation, one line each; the type of a scene says which one simulates it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .core.errors import refuse
+from .core.method import Method
+from .core.run_loop import Run, Simulation
+from .dem.method import METHOD as DISCRETE_ELEMENTS
+from .mps.method import METHOD as MOVING_PARTICLES
+
+__all__ = ["METHODS", "Run", "Simulation", "method_of"]
+
+METHODS: tuple[Method, ...] = (
+    DISCRETE_ELEMENTS,
+    MOVING_PARTICLES,
+)
+
+
+def method_of(scene: Any) -> Method:
+    """The method that simulates a scene."""
+    for method in METHODS:
+        if isinstance(scene, method.scene_type):
+            return method
+    refuse("scene", type(scene).__name__, f"must be a {' or a '.join(m.scene_type.__name__ for m in METHODS)}")

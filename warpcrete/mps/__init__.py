@@ -1,0 +1,1 @@
+"""Implicit moving particles: concrete as a Bingham fluid with a slip layer."""

@@ -1,0 +1,187 @@
+"""A concrete, the pipe it is in, and what drives it: what the scenes `channel` and `tube` have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Annotated, Any
+
+import numpy as np
+
+from ..core.errors import positive, refuse
+from ..core.parameters import Above, Alias, Needs, OneOf, Within
+from ..core.run_loop import Run
+from ..core.units import number
+from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, mortar_of
+from .scene import Aggregates, FlowSettings, FluidScene
+from .theory import MIXES, Concrete, Line, flow_of_pressure
+
+FLOW = 1500e-6
+"""Of the paper's reference case [m3/s]."""
+TWO_PHASES = Needs("aggregates", bool, "is on")
+
+
+def twice(radius: Any) -> Any:
+    """Diameter of a radius."""
+    return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConcreteParameters:
+    """Concrete."""
+
+    concrete: Annotated[
+        str, "no1, no2, no3 (Xu et al. 2021), or own with the five constants below", Alias("mix")
+    ] = "no1"
+    density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's"] = None
+    viscosity: Annotated[float | None, "plastic viscosity [Pa s]"] = None
+    yield_stress: Annotated[float | None, "[Pa]"] = None
+    slip_viscosity: Annotated[float | None, "of the slip layer, over its thickness [Pa s/m]"] = None
+    slip_yield: Annotated[float | None, "yield stress of the slip layer [Pa]"] = None
+    slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]"] = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnParameters:
+    """Pipe and piston."""
+
+    diameter: Annotated[
+        float, "inner, of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)
+    ] = 0.1
+    length: Annotated[float, "of the concrete [m]"] = 0.3
+    flow: Annotated[float | None, "volume flow through a round pipe of the diameter [m3/s]; default 1500e-6"] = None
+    pressure: Annotated[float | None, "on the piston instead of the flow [Pa]; theory gives its speed"] = None
+    spacing: Annotated[float, "of the particles [m]; the nearest that divides the pipe is taken"] = 5e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregateParameters:
+    """Coarse aggregate."""
+
+    aggregates: Annotated[bool, "two phases: coarse aggregate as rigid groups of particles in mortar"] = False
+    aggregate_fraction: Annotated[
+        float | None, "of the volume; default: the concrete's gravel", TWO_PHASES, Alias("aggregate_share")
+    ] = None
+    aggregate_viscosity: Annotated[
+        float, "of aggregate in the viscous forces, a numerical rigidity [Pa s]", TWO_PHASES
+    ] = 1e4
+    aggregate_density: Annotated[float, "[kg/m3]", Above(), TWO_PHASES] = 2630.0
+    inclusions: Annotated[
+        str,
+        "how the mortar's default constants take them: discs, spheres; auto: by dimension",
+        OneOf(("auto", *SUSPENSIONS)),
+        TWO_PHASES,
+    ] = "auto"
+    mortar_viscosity: Annotated[float | None, "plastic viscosity [Pa s]; default: by homogenisation", TWO_PHASES] = None
+    mortar_yield: Annotated[float | None, "yield stress [Pa]; default: by homogenisation", TWO_PHASES] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
+    """A column of concrete that a piston drives up a pipe."""
+
+    def constants(self) -> Concrete:
+        """The concrete's."""
+        return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
+
+    def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
+        """The coarse aggregate and its mortar, if there are two phases."""
+        fraction = self.aggregate_fraction
+        if not self.aggregates or fraction == 0:
+            return None
+        if fraction is None:
+            if self.concrete not in MIXES:
+                refuse("aggregate_fraction", None, "is needed for a concrete of one's own")
+            fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
+        by_dimension = "discs" if dimensions == 2 else "spheres"
+        inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
+        mortar = mortar_of(concrete, fraction, self.aggregate_density, inclusions)
+        own = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
+        mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
+        return Aggregates(
+            fraction=fraction, mortar=mortar, density=self.aggregate_density, viscosity=self.aggregate_viscosity
+        )
+
+    def driven(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
+        """The flow [m3/s] that was given, or that theory says the given pressure drives; `bulk` is the radius [m]."""
+        flow = self.flow
+        if self.pressure is not None:
+            if flow is not None:
+                refuse("flow", flow, "is given together with pressure", "leave out one of both")
+            line = Line(radius=bulk, length=self.length, gravity=self.gravity)
+            flow = flow_of_pressure(concrete, line, self.pressure, "plane" if dimensions == 2 else "pipe").flow
+        elif flow is None:
+            flow = FLOW
+        positive("flow", flow, "m3/s", "at rest there is nothing to simulate")
+        return flow
+
+
+def column_scene(
+    name: str, dimensions: int, given: FlowParameters, paper: Mapping[str, Mapping[str, float]] | None = None
+) -> FluidScene:
+    """Scene of a column; `paper` has the printed figures of each concrete in the paper's own case.
+
+    Raises :class:`SceneError` where the pressure moves nothing.
+    """
+    Within(0, np.nextafter(given.diameter / 2, 0), "less than the radius").check(
+        "slip_thickness", given.slip_thickness, " m"
+    )
+    concrete = given.constants()
+    bulk = given.diameter / 2 - given.slip_thickness
+    flow = given.driven(concrete, bulk, dimensions)
+    settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
+    return FluidScene(
+        name=name,
+        concrete=concrete,
+        dimensions=dimensions,
+        radius=bulk,
+        length=given.length,
+        velocity=flow / (np.pi * bulk**2),
+        spacing=given.spacing,
+        aggregates=given.coarse(concrete, dimensions),
+        published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
+        parameters=asdict(given),
+        **settings,
+    )
+
+
+def _is_papers(given: FlowParameters) -> bool:
+    """Is this the paper's own case, one phase, thin layer?"""
+    free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity"}
+    other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
+    return not other and given.flow in (None, FLOW)
+
+
+ACCURACY = {2: 0.01, 3: 0.02}
+"""Of pressure and slip velocity, by dimensions, in one phase."""
+TWO_PHASE_ACCURACY = 0.03
+"""Of the pressure; two phases may differ more from one fluid's theory."""
+WALL_ACCURACY = {True: 0.05, False: 0.03}
+"""Of the wall's stress, in two phases and in one: the weight hides what is wrong with it in the pressure."""
+
+
+def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a flow: name -> (passed, what was found)."""
+    result, scene = run.result, run.scene
+    two = scene.aggregates is not None
+    if "pressure_error" not in result:
+        return {"finished": (False, "there is no sample besides that at the start")}
+    limit = TWO_PHASE_ACCURACY if two else ACCURACY[scene.dimensions]
+    pressure, slip, wall = (result[f"{name}_error"] for name in ("pressure", "slip_velocity", "wall_stress"))
+    balance = result["force_balance_error"]
+    found = {
+        "steady": (
+            result["steady"] or scene.duration is not None, f"after {number(result['simulated_time']):g} s"
+        ),
+        "pressure": (abs(pressure) < limit, f"{100 * pressure:+.2f} % from theory"),
+        "wall's stress": (abs(wall) < WALL_ACCURACY[two], f"{100 * wall:+.2f} % from theory"),
+        "volume": (abs(result["volume_error"]) < 1e-3, f"{100 * result['volume_error']:+.3f} % at most"),
+        "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force"),
+    }  # fmt: skip
+    if not two:
+        found["slip velocity"] = (abs(slip) < limit, f"{100 * slip:+.2f} % of the mean velocity from theory")
+        found["profile"] = (
+            result["profile_error"] < 0.01,
+            f"rms {100 * result['profile_error']:.2f} % of the mean velocity",
+        )
+    return found

@@ -1,0 +1,97 @@
+"""Flows as recorders draw them."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..core.display import Curve, Display, DrawnWall, Plot, on_palette
+from ..geometry.axis import Axis, Line
+from .probes import Snapshot
+from .theory import velocity
+
+GRAIN = np.array([120, 118, 112], np.uint8)
+MORTAR = np.array([214, 204, 184], np.uint8)
+PIPE = (150, 165, 180, 40)
+OURS, THEORY = (215, 95, 30), (150, 150, 150)
+
+
+class FlowDisplay(Display):
+    """Particles by speed on a scale that shows the profile, by pressure, or grains against mortar (`phase`)."""
+
+    colourings: ClassVar = ("speed", "pressure", "phase")
+    noun: ClassVar = "concrete"
+
+    @property
+    def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
+        """From what there is to see to the eye: a channel is seen from the front, a tube a little from aside."""
+        aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
+        return aside, -1.0, 0.1 * aside
+
+    def radii(self) -> np.ndarray:
+        """Half a spacing each [m], shape (n,)."""
+        return np.full(self.simulation.state.count, 0.5 * self.simulation.state.layout.spacing, np.float32)
+
+    def centres(self) -> np.ndarray:
+        """Particles in the room [m], shape (n, 3): z up, a channel in the plane of x and z."""
+        x = self.simulation.state.particles.position.numpy().astype(float)
+        x[:, -1] += self.simulation.scene.velocity * self.simulation.stepper.time
+        if self.simulation.scene.dimensions == 2:
+            x = np.insert(x, 1, 0.0, axis=1)
+        return x
+
+    def colours(self) -> np.ndarray:
+        """RGB bytes of all particles, shape (n, 3)."""
+        scene, theory = self.simulation.scene, self.simulation.flow.theory
+        snap = Snapshot.of(self.simulation.flow)
+        if self.colouring == "pressure":
+            return on_palette(snap.pressure, theory.pressure)
+        if self.colouring == "speed":
+            centre = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
+            return on_palette(snap.velocity, centre, theory.slip_velocity)
+        grains = self.simulation.state.grains
+        coarse = np.zeros(len(snap.height), bool) if grains is None else grains.group >= 0
+        shade = np.ones(len(coarse))
+        if grains is not None:  # neighbours tell apart
+            shade[coarse] = 0.75 + 0.25 * ((grains.group[coarse] * 7919) % 13) / 12
+        return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
+
+    def plots(self) -> tuple[Plot, ...]:
+        """Pressure on the piston and slip velocity, beside theory."""
+        theory = self.simulation.flow.theory
+        return (
+            Plot("pressure", "Pressure on the piston", (
+                Curve("piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3, OURS),
+                Curve("theory", "theory", lambda row: theory.pressure / 1e3, THEORY),
+            )),
+            Plot("slip", "Slip velocity", (
+                Curve("layer", "slip velocity [cm/s]", lambda row: 100 * row["slip_velocity"], OURS),
+                Curve("theory", "theory", lambda row: 100 * theory.slip_velocity, THEORY),
+            )),
+        )  # fmt: skip
+
+    def walls(self) -> list[DrawnWall]:
+        """The pipe, or the two planes."""
+        scene, spacing = self.simulation.scene, self.simulation.state.layout.spacing
+        length = self.simulation.state.layout.height * 1.1 + self._travel()
+        if scene.dimensions == 3:
+            vertices, faces = Axis((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (Line(length),)).tube(scene.radius, 48)
+        else:
+            deep = 2 * spacing
+            corners = [(s * scene.radius, y, z) for s in (-1, 1) for y in (-deep, deep) for z in (0.0, length)]
+            faces = np.array([(4 * k + a, 4 * k + b, 4 * k + c) for k in (0, 1) for a, b, c in ((0, 1, 2), (1, 3, 2))])
+            vertices = np.array(corners)
+        return [DrawnWall("pipe", vertices, faces, False, PIPE)]
+
+    def _travel(self) -> float:
+        """Of the piston, as far as it can be foreseen [m]; a run until steady takes some hundredths of a second."""
+        duration = self.simulation.scene.duration
+        return self.simulation.scene.velocity * (0.05 if duration is None else duration)
+
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of the whole way of the column, shape (2, 3) [m]."""
+        size = self.simulation.state.layout.height + self._travel()
+        # Long columns fill the picture by their length, short ones by their width.
+        across = max(0.0, 4 * self.simulation.scene.radius - size)
+        return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

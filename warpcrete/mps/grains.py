@@ -1,0 +1,103 @@
+"""Coarse aggregate of the two-phase model: which particles of a column are rigid together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import refuse
+from .layout import Layout
+from .scene import FluidScene
+
+
+@dataclass(frozen=True)
+class Grains:
+    """Rigid groups of elementary particles."""
+
+    order: np.ndarray
+    """Places of the layout in the order of the state: grain by grain, then the mortar."""
+    group: np.ndarray
+    """Grain of each particle in that order, -1 for mortar, shape (n,)."""
+    first: np.ndarray
+    """First particle of each grain, and the end, shape (grains + 1,)."""
+    size: np.ndarray
+    """Drawn size of each grain [m]: diameter of the disc or ball of equal volume, shape (grains,)."""
+
+    @property
+    def count(self) -> int:
+        return len(self.size)
+
+
+def scatter(scene: FluidScene, layout: Layout) -> Grains:
+    """Place grains of random size and shape at random, largest first, until they fill their part of the column.
+
+    A grain takes the particles inside its outline: a circle or ball of its size, with a random waviness, that does not
+    reach over walls, piston and surface. In two dimensions grains keep a particle of mortar between them; in three,
+    where random placing leaves less room, they may touch. Raises :class:`SceneError` where they find no room.
+    """
+    aggregates = scene.aggregates
+    assert aggregates is not None
+    rng = np.random.default_rng(scene.seed)
+    places, spacing = layout.fluid, layout.spacing
+    n, dimensions = places.shape
+    owner = np.full(n, -1, np.int32)
+    wanted = aggregates.fraction * n
+    members: list[np.ndarray] = []
+    total = sum(fraction for _, _, fraction in aggregates.sizes)
+    if total <= 0:
+        refuse("sizes", aggregates.sizes, "must have a class with a fraction above 0")
+    taken = 0
+    rim_width = 1.05 * spacing if dimensions == 2 else 0.0
+    for number, (smallest, largest, _) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
+        goal = wanted * sum(c[2] for c in sorted(aggregates.sizes, key=lambda c: -c[1])[: number + 1]) / total
+        misses = 0
+        while taken < goal - 0.5 and misses < 4000:
+            size = rng.uniform(smallest, largest)
+            centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
+            wave = _outline(rng, dimensions, aggregates.roundness)
+            # Places stand layer by layer from the piston on.
+            widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
+            near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
+            offset = places[near] - centre
+            distance = np.linalg.norm(offset, axis=1)
+            reach = 0.5 * size * wave(offset / np.maximum(distance, 1e-12)[:, None])
+            inside = near[distance < reach]
+            rim = near[distance < reach + rim_width]
+            touches_wall = np.linalg.norm(centre[:-1]) + 0.5 * size > scene.radius
+            touches_end = not 0.5 * size < centre[-1] < layout.height - 0.5 * size
+            if len(inside) < 2 or touches_wall or touches_end or (owner[rim] >= 0).any():
+                misses += 1
+                continue
+            owner[inside] = len(members)
+            members.append(inside)
+            taken += len(inside)
+            misses = 0
+        if taken < goal - max(0.02 * wanted, 0.6 * (largest / spacing) ** dimensions):
+            found = f"does not fit at a spacing of {spacing:g} m: {taken / n:.3g} of the volume was placed"
+            refuse("aggregate fraction", aggregates.fraction, found, "lower it, or take a finer spacing")
+    if not members:
+        refuse("aggregate fraction", aggregates.fraction, "is less than one grain", "take a finer spacing")
+    mortar = np.flatnonzero(owner < 0)
+    order = np.concatenate([*members, mortar])
+    first = np.concatenate([[0], np.cumsum([len(m) for m in members])]).astype(np.int32)
+    volume = np.diff(first) * layout.volume
+    size = np.sqrt(4 * volume / math.pi) if dimensions == 2 else np.cbrt(6 * volume / math.pi)
+    return Grains(order, owner[order], first, size)
+
+
+def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
+    """Radius over mean radius of a random shape, as a function of directions (n, dimensions)."""
+    strength = (1 - roundness) * rng.uniform(0.3, 1.0)
+    axis = rng.normal(size=(3, dimensions))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    parts = rng.dirichlet(np.ones(3))
+
+    def radius(direction: np.ndarray) -> np.ndarray:
+        c = direction @ axis.T
+        # Ovality, egg shape and three corners.
+        return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
+            4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
+
+    return radius

@@ -1,0 +1,64 @@
+"""Where the particles of a flow start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .scene import FluidScene
+
+LAYERS = 4
+"""Of particles behind a wall, which stand in for the fluid there wherever neighbours are counted."""
+@dataclass(frozen=True)
+class Layout:
+    """Places of particles at the start, from the piston's middle; the last coordinate runs along the pipe."""
+
+    spacing: float
+    """[m]"""
+    volume: float
+    """Of a particle [m3], or area [m2] in two dimensions."""
+    fluid: np.ndarray
+    """Shape (n, dimensions) [m], layer by layer from the piston."""
+    wall: np.ndarray
+    """Shape (m, dimensions) [m]."""
+    height: float
+    """Of the column [m]."""
+
+
+def layout(scene: FluidScene) -> Layout:
+    """Rows along a channel, rings in a tube: the first half a spacing from the wall, like the last from the axis."""
+    if scene.dimensions == 2:
+        across = max(2, round(2 * scene.radius / scene.spacing))
+        spacing = 2 * scene.radius / across
+        inside = ((np.arange(across) + 0.5) * spacing - scene.radius)[:, None]
+        beyond = (np.arange(LAYERS) + 0.5) * spacing + scene.radius
+        outside = np.concatenate([-beyond[::-1], beyond])[:, None]
+        area = 2 * scene.radius
+    else:
+        rings = max(2, round(scene.radius / scene.spacing))
+        spacing = scene.radius / rings
+        inside = np.concatenate([_ring(k, spacing) for k in range(rings)])
+        outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
+        area = math.pi * scene.radius**2
+    layers = round(scene.length / spacing)
+    step = scene.length / layers  # so that the column has just its length
+    height = (np.arange(layers) + 0.5) * step
+    beneath = (np.arange(-LAYERS, 0) + 0.5) * step
+    # The front bulges while it flows: room for that.
+    above = (np.arange(-LAYERS, layers + math.ceil(0.3 * layers) + 2 * LAYERS) + 0.5) * step
+    wall = np.concatenate([_stacked(inside, beneath), _stacked(outside, above)])
+    fluid = _stacked(inside, height)
+    return Layout(spacing, area * scene.length / len(fluid), fluid, wall, scene.length)
+
+
+def _ring(number: int, spacing: float) -> np.ndarray:
+    count = round(2 * math.pi * (number + 0.5))
+    # Turned by the golden angle, so that neighbouring rings are not aligned.
+    angle = 2 * math.pi * np.arange(count) / count + 2.39996 * number
+    return (number + 0.5) * spacing * np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def _stacked(across: np.ndarray, heights: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.column_stack([across, np.full(len(across), h)]) for h in heights])

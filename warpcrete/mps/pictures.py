@@ -1,0 +1,90 @@
+"""Pictures of flows, by Matplotlib."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.run_loop import Run
+from ..core.units import number
+from .theory import velocity
+
+
+def plot_flow(run: Run, particles: tuple[np.ndarray, np.ndarray, float] | None = None) -> Any:
+    """Figure of pressure against time and velocity profiles, both beside theory; `particles` (places, RGB bytes,
+    spacing) are drawn beside them.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.5 if particles is not None else 7.5, 4.2), layout="constrained")
+    ratios = [1.25, 1.25, 0.75] if particles is not None else [1, 1]
+    axes = figure.subplots(1, len(ratios), width_ratios=ratios)
+    _pressure(axes[0], run)
+    _profiles(axes[1], run)
+    for one in axes[:2]:
+        one.spines[["top", "right"]].set_visible(False)
+    if particles is not None:
+        _particles(axes[2], *particles)
+    return figure
+
+
+def _pressure(axes: Any, run: Run) -> None:
+    theory = number(run.result["pressure_theory"]) / 1e3
+    axes.plot(run.series["time"], run.series["pressure"] / 1e3, linewidth=1.6, label="this run")
+    axes.axhline(theory, color="0.4", linestyle=":", label="theory")
+    if "pressure" in run.scene.published:
+        axes.axhline(
+            run.scene.published["pressure"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="printed (Xu et al.)"
+        )
+    axes.set(xlabel="time [s]", ylabel="pressure on the piston [kPa]")
+    # The start is far below and of no interest.
+    shown = np.append(run.series["pressure"][2:] / 1e3, theory)
+    lowest, highest = np.nanmin(shown), np.nanmax(shown)
+    if np.isfinite(lowest + highest):
+        margin = max(0.2 * (highest - lowest), 0.05 * abs(highest), 1e-9)
+        axes.set_ylim(lowest - margin, highest + margin)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _profiles(axes: Any, run: Run) -> None:
+    scene = run.scene
+    for part in run.result["profiles"]:
+        axes.plot(
+            100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
+            label=f"{100 * part['height']['value']:.0f} cm above the piston",
+        )  # fmt: skip
+    radius = np.linspace(0, scene.radius, 200)
+    theory = velocity(scene.concrete, scene.line, scene.theory(), radius)
+    axes.plot(100 * radius, 100 * theory, color="0.4", linestyle=":", label="theory")
+    axes.set(xlabel="distance from the middle [cm]", ylabel="velocity [cm/s]")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _particles(axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    order = np.argsort(-places[:, 1])
+    width = np.full(len(places), spacing)
+    axes.add_collection(
+        EllipseCollection(
+            width,
+            width,
+            np.zeros(len(places)),
+            units="xy",
+            offsets=places[order][:, [0, 2]],
+            offset_transform=axes.transData,
+            facecolors=shades[order] / 255,
+            edgecolors="none",
+        )
+    )
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+    axes.autoscale_view()
+
+
+def draw(simulation: Any, run: Run, colouring: str) -> Any:
+    """The picture of a run folder, if there is more than the start."""
+    if "profiles" not in run.result:
+        return None
+    display = simulation.display(colouring)
+    return plot_flow(run, (display.centres(), display.colours(), simulation.state.layout.spacing))

@@ -1,0 +1,168 @@
+"""What is measured in a flow: pressure on the piston, slip velocity, profiles, volume, balance of forces, aggregate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .particles import MovingParticles
+from .theory import velocity
+
+MIDDLE = (0.4, 0.6)
+"""Part of the column, in parts of its height, in which slip velocity and profile are taken."""
+STRAIGHT = (0.2, 0.8)
+"""Part in which the pressure's gradient is taken."""
+LOWEST = 0.1
+"""Part above the piston through which the pressure is continued to the piston."""
+WINDOW = (0.65, 0.85)
+"""Heights between which the window falls from one to nothing that measures the volume."""
+UNITS = {
+    "time": "s",
+    "travel": "m",
+    "pressure": "Pa",
+    "pressure_gradient": "Pa/m",
+    "wall_stress": "Pa",
+    "slip_velocity": "m/s",
+    "profile_deviation": "m/s",
+    "fastest": "m/s",
+    "volume_error": "1",
+    "force_balance_error": "1",
+    "front": "m",
+    "momentum": "kg m/s",
+    "viscosity_iterations": "1",
+    "pressure_iterations": "1",
+    "aggregate_inner": "1",
+    "aggregate_outer": "1",
+    "aggregate_front": "1",
+    "aggregate_rear": "1",
+}
+"""Of the columns of a row."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Arrays of the particles on the host, double precision."""
+
+    height: np.ndarray
+    """Above the piston [m]."""
+    distance: np.ndarray
+    """From the axis, or the middle plane [m]."""
+    velocity: np.ndarray
+    """Along the pipe [m/s]."""
+    speed: np.ndarray
+    """[m/s]"""
+    pressure: np.ndarray
+    """[Pa]"""
+
+    @staticmethod
+    def of(flow: MovingParticles) -> Snapshot:
+        """What the particles hold now."""
+        p = flow.state.particles
+        x, v = p.position.numpy().astype(float), p.velocity.numpy().astype(float)
+        speed = np.linalg.norm(v, axis=1)
+        pressure = p.pressure.numpy().astype(float)
+        return Snapshot(x[:, -1], np.linalg.norm(x[:, :-1], axis=1), v[:, -1], speed, pressure)
+
+
+def section(flow: MovingParticles) -> float:
+    """Cross section of the pipe [m2], of a channel [m2 per metre of depth]."""
+    return 2 * flow.scene.radius if flow.scene.dimensions == 2 else math.pi * flow.scene.radius**2
+
+
+def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
+    """A row of the series; `before` is the row before, for what changes in between. Of a channel, momentum is that of a
+    metre's depth.
+
+    The pressure on the piston is that of the particles near it, continued in a straight line, and half a spacing of
+    its gradient more: the particles of the surface have none, though half of each lies above its centre.
+    """
+    scene, state, layout = flow.scene, flow.state, flow.state.layout
+    snap = Snapshot.of(flow)
+    part = snap.height / layout.height
+    straight = (part > STRAIGHT[0]) & (part < STRAIGHT[1])
+    gradient = -_slope(snap.height[straight], snap.pressure[straight])[0]
+    low = part < max(LOWEST, 2.1 * layout.spacing / layout.height)
+    pressure = _slope(snap.height[low], snap.pressure[low])[1] + 0.5 * gradient * layout.spacing
+
+    fields = flow.fields
+    stress = fields.traction.numpy().astype(float)
+    weight = fields.wall_weight.numpy().astype(float) * float(fields.wall_scale.numpy()[0])
+    slip = snap.velocity - stress * fields.compliance.numpy()
+    middle = (part > MIDDLE[0]) & (part < MIDDLE[1])
+    wet = middle & (weight > 0)
+    theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))
+
+    area = section(flow)
+    mass = layout.volume * (scene.concrete.density if state.grains is None else state.particles.density.numpy().astype(float))
+    momentum = float(np.sum(mass * snap.velocity))
+    change = 0.0
+    if before is not None and flow.time > before["time"]:
+        change = (momentum - before["momentum"]) / (flow.time - before["time"])
+    force = pressure * area
+    drag = float(np.sum(weight * stress)) * layout.volume
+    outcomes = flow.outcomes()
+    residual = force - state.mass * scene.gravity - drag - change
+    surface = snap.height[fields.free.numpy() != 0] if flow.steps else np.array([layout.height - 0.5 * layout.spacing])
+    row = {
+        "time": flow.time,
+        "travel": scene.velocity * flow.time,
+        "pressure": float(pressure),
+        "pressure_gradient": float(gradient),
+        "wall_stress": drag / flow.wet_area,
+        "slip_velocity": float(np.sum(weight[wet] * slip[wet]) / np.sum(weight[wet])) if wet.any() else math.nan,
+        "profile_deviation": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
+        "fastest": float(snap.speed.max()),
+        "volume_error": _window(layout.fluid[:, -1] / layout.height) / _window(part) - 1,
+        "force_balance_error": float(residual / force) if force else math.nan,
+        "front": float(np.mean(surface)) + 0.5 * layout.spacing if len(surface) else math.nan,
+        "momentum": momentum,
+        "viscosity_iterations": outcomes["viscosity"]["iterations"],
+        "pressure_iterations": outcomes["pressure"]["iterations"],
+    }  # fmt: skip
+    return row | aggregate_fractions(flow, snap)
+
+
+def _window(part: np.ndarray) -> float:
+    """Particles in a window that falls smoothly with height: as many as at the start, if none lost or won volume."""
+    lower, upper = WINDOW
+    return float(np.sum(0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
+
+
+def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
+    """Volume fraction of coarse aggregate in the inner and outer half of the radius, the front and rear of the column."""
+    if flow.state.grains is None:
+        return {}
+    coarse = flow.state.grains.group >= 0
+    parts = {
+        "inner": snap.distance < 0.5 * flow.scene.radius,
+        "outer": snap.distance >= 0.5 * flow.scene.radius,
+        "front": snap.height >= 0.5 * flow.state.layout.height,
+        "rear": snap.height < 0.5 * flow.state.layout.height,
+    }
+    return {f"aggregate_{name}": float(coarse[part].mean()) if part.any() else math.nan for name, part in parts.items()}
+
+
+def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from the axis [m] and mean velocity [m/s] of the particles within 1.5 spacings of `height` [m].
+
+    As many `bins` as there are particles from axis to wall, unless given.
+    """
+    snap, layout = Snapshot.of(flow), flow.state.layout
+    chosen = np.abs(snap.height - height) < 1.5 * layout.spacing
+    edges = np.linspace(0, flow.scene.radius, (bins or max(2, round(flow.scene.radius / layout.spacing))) + 1)
+    place = np.clip(np.searchsorted(edges, snap.distance[chosen], side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(place, snap.velocity[chosen], len(edges) - 1) / count
+        middle = np.bincount(place, snap.distance[chosen], len(edges) - 1) / count
+    return middle[count > 0], mean[count > 0]
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope and value at zero of the straight line through points."""
+    if len(x) < 2 or np.ptp(x) == 0:
+        return 0.0, float(np.mean(y)) if len(y) else math.nan
+    slope, value = np.polyfit(x, y, 1)
+    return float(slope), float(value)

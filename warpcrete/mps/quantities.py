@@ -1,0 +1,93 @@
+"""The numbers that a flow comes to, each with its unit, beside those of theory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.method import Quantity
+from ..core.run_loop import Run
+from ..core.units import number, shown
+from .scene import FluidScene
+from .theory import Steady
+
+LAST = 0.2
+"""Part of a run of given duration, at its end, whose means are the run's quantities; else the last row's are."""
+COMPARED = ("pressure", "slip_velocity", "wall_stress")
+"""Columns of the series that theory has, too."""
+UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
+
+
+@dataclass(frozen=True)
+class Known:
+    """What there is to know of a flow when its quantities are worked out."""
+
+    scene: FluidScene
+    series: dict[str, np.ndarray]
+    """Two rows or more."""
+    theory: Steady
+
+    @property
+    def chosen(self) -> np.ndarray:
+        """Rows that are averaged."""
+        time = self.series["time"]
+        if self.scene.duration is None:
+            return np.arange(len(time)) == len(time) - 1
+        return time >= time[-1] * (1 - LAST)
+
+    def mean(self, name: str) -> float:
+        """Of a column."""
+        return float(self.series[name][self.chosen].mean())
+
+    def by_theory(self, name: str) -> float:
+        """What theory has for it."""
+        return float(getattr(self.theory, name))
+
+    def error(self, name: str) -> float:
+        """Relative to theory; a flow may be all shear, so slip is judged by the mean velocity."""
+        size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
+        return (self.mean(name) - self.by_theory(name)) / size
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(values[np.argmax(np.abs(values))])
+
+
+def _beside_theory(name: str):
+    def words(run: Run) -> str:
+        factor, unit = shown(UNITS[name])
+        ours, theory = (number(run.result[key]) * factor for key in (name, f"{name}_theory"))
+        error = 100 * run.result[f"{name}_error"]
+        return f"{ours:.4g} {unit}   (theory, {run.result['theory']}: {theory:.4g}; {error:+.2f} %)"
+
+    return words
+
+
+def _of_column(name: str) -> tuple[Quantity, ...]:
+    compared, label = name != "wall_stress", "" if name == "wall_stress" else name.replace("_", " ")
+    return (
+        Quantity(name, UNITS[name], lambda k: k.mean(name), label, _beside_theory(name), compared),
+        Quantity(f"{name}_theory", UNITS[name], lambda k: k.by_theory(name), compared=name == "pressure"),
+        Quantity(f"{name}_error", "1", lambda k: k.error(name), compared=compared),
+    )
+
+
+QUANTITIES = (
+    *(quantity for name in COMPARED for quantity in _of_column(name)),
+    Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
+             lambda run: f"rms {100 * run.result['profile_error']:.2f} % of the mean velocity off theory", True),
+    Quantity("volume_error", "1", lambda k: _largest(k.series["volume_error"])),
+    Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error")),
+)  # fmt: skip
+
+
+def report(run: Run) -> Iterator[tuple[str, str]]:
+    """Lines about a run besides its quantities."""
+    if run.scene.published and "pressure" in run.result:
+        for name, value in run.scene.published.items():
+            factor, unit = shown(UNITS[name])
+            yield f"{name.replace('_', ' ')}, Xu", f"{value * factor:.4g} {unit} printed (Xu, Li & Jiang 2021)"
+    if run.finished and not run.result["steady"]:
+        yield "not steady", f"pressure, wall stress or slip velocity still changed at {run.series['time'][-1]:.3g} s"

@@ -1,0 +1,168 @@
+"""Scenes of the moving particle method: concrete as a Bingham fluid that a piston drives up a pipe.
+
+Two dimensions are a channel between planes 2 R apart, three a round tube (Xu, Li & Jiang 2021, section 3.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+from ..core.device import PRECISIONS
+from ..core.errors import between, one_of, positive, refuse
+from ..core.parameters import Above, Alias, Declared, OneOf, Within
+from .theory import Concrete, Line, Steady, steady
+
+FEWEST_ACROSS = 4  # particles over the pipe's width
+SHORTEST = 8  # spacings in the column's length: less has no inside that neither piston nor surface disturbs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aggregates:
+    """Coarse aggregate of the two-phase model: rigid groups of elementary particles in mortar."""
+
+    fraction: float
+    """Of the volume."""
+    mortar: Concrete
+    """Bingham constants and density of what is between them; its slip layer is the concrete's."""
+    density: float = 2630.0
+    """[kg/m3]"""
+    viscosity: float = 1e4
+    """mu_CA [Pa s], of aggregate in the pairwise viscous forces: a numerical rigidity."""
+    sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
+    """Smallest and largest size [m] and part of each class, by volume."""
+    roundness: float = 0.6
+    """1 makes circles or spheres; less, radii that vary by up to 1 - roundness."""
+
+    def __post_init__(self) -> None:
+        positive("aggregate fraction", self.fraction, "", "leave out aggregates")
+        between("aggregate fraction", self.fraction, 0, 0.6, "", "denser mixes cannot be placed at random")
+        positive("aggregate density", self.density, "kg/m3")
+        positive("aggregate viscosity", self.viscosity, "Pa s")
+        between("roundness", self.roundness, 0.5, 1)
+        for smallest, largest, part in self.sizes:
+            positive("aggregate size", smallest, "m")
+            between("aggregate size", largest, smallest, np.inf, "m")
+            between("part of a size class", part, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowWatch(Declared):
+    """Limits past which a flow stops with an InstabilityError; checked at every sample. NaN is always one."""
+
+    called = "watch"
+
+    force_balance: Annotated[
+        float | None, "of the piston's force, what weight, wall and inertia may leave over; None: no limit", Above()
+    ] = 0.2
+    pressure: Annotated[
+        float | None, "of the pressure by theory, how high or low that on the piston may be; None: no limit", Above()
+    ] = 10.0
+    speed: Annotated[
+        float | None, "of the fastest particle, over the highest by theory; None: no limit", Above()
+    ] = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowSettings(Declared):
+    """How a flow is computed."""
+
+    duration: Annotated[float | None, "simulated time [s]; default: until steady"] = None
+    time_step: Annotated[float, "[s]", Above()] = 5e-4
+    gravity: Annotated[float, "against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
+    regularisation: Annotated[float, "beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
+    paper_scheme: Annotated[bool, "the scheme as the paper prints it, to show what it does", Alias("literal")] = False
+    tolerance: Annotated[
+        float, "of the pressure solve: residual over that at its start, or over what the piston's speed would make",
+        Within(1e-12, 0.5),
+    ] = 1e-2  # fmt: skip
+    maximum_iterations: Annotated[
+        int, "of a solve, before the run ends with an error", Within(1), Alias("most_iterations")
+    ] = 2000
+    steadiness: Annotated[
+        float,
+        "steady: pressure, wall stress and slip velocity (over the piston's) change by less than this part in 5 ms, "
+        "and in the 5 ms before",
+        Above(),
+    ] = 1e-3
+    precision: Annotated[
+        str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)
+    ] = "float32"
+    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 5e-3
+    seed: Annotated[int, "random seed, of the aggregate", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FluidScene(FlowSettings):
+    """A column of concrete in a pipe, driven from below by a piston at constant speed; SI units."""
+
+    name: str
+    concrete: Concrete
+    dimensions: int
+    """2: channel of width 2 R; 3: round tube."""
+    radius: float
+    """R [m]"""
+    length: float
+    """Of the column [m]."""
+    velocity: float
+    """Of the piston [m/s]."""
+    spacing: float
+    """Wanted distance of particles [m]; the nearest is taken that divides the channel's width, or the tube's radius."""
+    aggregates: Aggregates | None = None
+    watch: FlowWatch = field(default_factory=FlowWatch)
+    published: Mapping[str, float] = field(default_factory=dict)
+    """Quantities of the result that the paper prints for this scene, in SI units."""
+    remarks: tuple[str, ...] = ()
+    """What the scene simplifies, to be told before a run."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments that make this scene again through its scene function; empty if it has none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("dimensions", self.dimensions, (2, 3))
+        positive("radius", self.radius, "m")
+        positive("length", self.length, "m")
+        positive("velocity", self.velocity, "m/s", "at rest there is nothing to simulate")
+        positive("spacing", self.spacing, "m")
+        if self.paper_scheme and self.aggregates is not None:
+            refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+        across = 2 * self.radius / self.spacing
+        if across < FEWEST_ACROSS - 0.5:
+            refuse(
+                "spacing", self.spacing, f"leaves {across:.2g} particles across the pipe; at least {FEWEST_ACROSS} are "
+                "needed", f"take {2 * self.radius / FEWEST_ACROSS:g} m or less"
+            )  # fmt: skip
+        if self.length < SHORTEST * self.spacing:
+            refuse("length", self.length, f"must hold {SHORTEST} particles, {SHORTEST * self.spacing:g} m")
+        if self.time_step * self.velocity > 0.5 * self.spacing:
+            refuse(
+                "time_step", self.time_step, "lets the piston pass more than half a particle a step",
+                f"take {0.5 * self.spacing / self.velocity:.3g} s or less"
+            )  # fmt: skip
+        if self.duration is not None:
+            between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
+        between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
+
+    def __repr__(self) -> str:
+        phases = "one phase" if self.aggregates is None else f"{100 * self.aggregates.fraction:.0f} % aggregate"
+        return (
+            f"<FluidScene {self.name!r}: {self.concrete.name}, {phases}, {self.dimensions}D, R = {self.radius:g} m, "
+            f"{self.velocity:.4g} m/s, spacing {self.spacing:g} m>"
+        )
+
+    @property
+    def form(self) -> str:
+        """Form of the theory to compare with."""
+        return "plane" if self.dimensions == 2 else "pipe"
+
+    @property
+    def line(self) -> Line:
+        """The pipe as the theory sees it."""
+        return Line(radius=self.radius, length=self.length, gravity=self.gravity)
+
+    def theory(self) -> Steady:
+        """The steady state by closed form."""
+        return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)

@@ -1,0 +1,174 @@
+"""Flow of a Bingham fluid from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+
+from __future__ import annotations
+
+import time as wall_clock
+from typing import Any
+
+import numpy as np
+
+from ..core.method import results_of
+from ..core.provenance import arrays_hash, provenance
+from ..core.run_loop import Run, Simulation
+from ..core.units import quantity
+from .display import FlowDisplay
+from .particles import MovingParticles
+from .probes import UNITS, measured, profile
+from .quantities import QUANTITIES, Known
+from .scene import FluidScene
+from .state import FluidState
+from .theory import velocity
+from .watch import WatchedFlow
+
+LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
+PROFILES = (0.2, 0.5, 0.8)
+"""Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
+APART = 5e-3
+"""Simulated time between the rows that must agree in a steady flow [s]."""
+
+
+class FluidSimulation(Simulation):
+    """A flow; parameters and errors are those of :class:`warpcrete.Simulation`. A solve that does not converge raises
+    :class:`ConvergenceError`.
+    """
+
+    scene_type = FluidScene
+    scene: FluidScene
+
+    def set_up(self) -> None:
+        """Nothing but what to watch: particles take memory."""
+        self.steady = False
+        self._rows: list[dict[str, float]] = []
+        self._watch = WatchedFlow(self.scene)
+
+    @property
+    def prepared(self) -> bool:
+        """The particles are there."""
+        return hasattr(self, "flow")
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far."""
+        return self._rows
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of the whole run, at most [s]."""
+        return LONGEST if self.scene.duration is None else self.scene.duration
+
+    @property
+    def state(self) -> FluidState:
+        """The particles."""
+        return self.flow.state
+
+    def unit(self, column: str) -> str:
+        """Unit of a column of the series."""
+        return UNITS[column]
+
+    def display(self, colouring: str) -> FlowDisplay:
+        """What recorders draw."""
+        return FlowDisplay(self, colouring)
+
+    def prepare(self) -> None:
+        """Place the particles."""
+        started = wall_clock.perf_counter()
+        self.tell("packing", 0.0)
+        self.flow = MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
+        self.stepper = self.flow
+        self.tell("packing", 1.0)
+        self._spent["packing"] = wall_clock.perf_counter() - started
+
+    def state_dict(self) -> dict[str, Any]:
+        """Particles, and the rows so far."""
+        return {
+            "flow": self.flow.state_dict(),
+            "columns": list(self._rows[0]) if self._rows else [],
+            "rows": np.array([list(row.values()) for row in self._rows]),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`, in place of `prepare`."""
+        spent = dict(self._spent)
+        self.prepare()
+        self._spent = spent
+        self.flow.load_state_dict(state["flow"])
+        self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
+
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+        del self.flow, self.stepper
+
+    def measure(self) -> dict[str, float]:
+        """Measure, and append the row to `rows`."""
+        row = measured(self.flow, self._rows[-1] if self._rows else None)
+        self._rows.append(row)
+        return row
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        self._watch(row)
+
+    def ended_early(self) -> bool:
+        """The flow is steady, and no duration was asked for."""
+        now, part = self._rows[-1], self.scene.steadiness
+        earlier = []
+        for wanted in (now["time"] - APART, now["time"] - 2 * APART):
+            # The first row holds no slip layer yet; one agreement may be chance.
+            found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
+            if not found:
+                return False
+            earlier.append(found[-1])
+        scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
+        self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
+        return self.steady and self.scene.duration is None
+
+    def result(self, finished: bool) -> Run:
+        """The run as it is now, with its quantities."""
+        scene, flow, rows = self.scene, self.flow, self._rows
+        series = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
+        running = self._spent.get("running", 0.0)
+        result: dict[str, Any] = {
+            "scene": scene.name,
+            "method": "mps",
+            "finished": finished,
+            "steady": self.steady,
+            "simulated_time": quantity(flow.time, "s"),
+            "steps": flow.steps,
+            "particles": flow.count,
+            "spacing": quantity(flow.state.layout.spacing, "m"),
+            "column_height": quantity(flow.state.layout.height, "m"),
+        }
+        if flow.state.grains is not None:
+            grains = flow.state.grains
+            result["aggregates"] = {
+                "grains": grains.count,
+                "fraction": float(np.mean(grains.group >= 0)),
+                "smallest": quantity(grains.size.min(), "m"),
+                "largest": quantity(grains.size.max(), "m"),
+            }
+        if len(rows) > 1:
+            result |= results_of(QUANTITIES, Known(scene, series, flow.theory))
+            result["theory"] = flow.theory.form
+            result["profiles"] = [self._profile(part) for part in PROFILES]
+            outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
+            result["iterations"] = outcomes
+        result["speed"] = {
+            "wall_time": quantity(running, "s"),
+            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
+            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
+            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
+        }
+        result["state_hash"] = arrays_hash(flow.state_arrays())
+        result["provenance"] = provenance(self.device, self.precision, scene.seed)
+        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
+
+    def _profile(self, part: float) -> dict[str, Any]:
+        height = part * self.flow.state.layout.height
+        radius, mean = profile(self.flow, height)
+        theory = velocity(self.scene.concrete, self.scene.line, self.flow.theory, np.minimum(radius, self.scene.radius))
+        return {
+            "height": quantity(height, "m"),
+            "radius": {"value": radius.tolist(), "unit": "m"},
+            "velocity": {"value": mean.tolist(), "unit": "m/s"},
+            "theory": {"value": theory.tolist(), "unit": "m/s"},
+        }

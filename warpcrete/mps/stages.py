@@ -1,0 +1,192 @@
+"""One step of the implicit moving particle method, as a list of stages.
+
+A step projects as pressure-correction methods do, with the pressure of the step before in the prediction:
+
+1. geometry: moment matrices, apparent viscosity, predicted pressure (filtered);
+2. velocities under viscosity, slip layer, predicted pressure and weight (implicit);
+3. the increment of pressure that takes their divergence away;
+4. places: along the velocities, then off crowds by a second, loose solve that no velocity feels.
+
+Xu, Li & Jiang 2021, sections 2.1 to 2.5; where their printed scheme does not hold, notebooks/fluid.md says what is
+done instead and why.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..core.launching import Loop, Stage, Step, barrier_stage
+from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
+from ..kernels.mps import paper_scheme
+from ..kernels.mps.conjugate_gradient import parallel_iteration, parallel_start, serial_solver
+from ..kernels.mps.motion import advance_kernel, finish, shift_kernel
+from ..kernels.mps.operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
+from ..kernels.mps.rigid import places_kernel, velocities_kernel
+from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
+from .state import lattice_number
+
+VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
+LEAST_PRESSURE = 1e-4  # of the pressure's tolerance, for residuals over those of the piston's speed across the radius
+SHIFTING = 0.1, 1e-7  # of the density's solve: residual over that at its start, or mean over the density's error
+LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next; an even number
+
+
+def step_stages(particles: Any) -> Step:
+    """Stages of one step of :class:`MovingParticles` on the arrays that there are now, a list for each thread."""
+    p = particles
+    meet = barrier_stage(p.threads, p.device)
+    rows = [p.count * k // p.threads for k in range(p.threads + 1)]
+    return [_Part(p, k, rows[k], rows[k + 1], meet).step() for k in range(p.threads)]
+
+
+class _Part:
+    """What one thread does in a step: rows `first` to `end`, and what only the first part does for all."""
+
+    def __init__(self, particles: Any, part: int, first: int, end: int, meet: list[Stage]) -> None:
+        self.p, self.part, self.first, self.end, self.meet = particles, part, first, end, meet
+        self.scene, self.dimensions = particles.scene, particles.scene.dimensions
+        self.serial = not particles.parallel
+        self.two_phase = particles.grains is not None
+        self.kind = particles.scalar, self.dimensions, self.serial
+
+    def step(self) -> list[Any]:
+        """The whole step."""
+        if self.scene.paper_scheme:
+            return [
+                *self.geometry(),
+                *self.wall_scale(),
+                *self.printed_weights(),
+                *self.momentum(),
+                *self.viscosity(),
+                *self.each(paper_scheme.source_kernel(*self.kind)),
+                *self.pressure(),
+                *self.each(paper_scheme.projection_kernel(*self.kind)),
+                *self.motion(),
+                *self.finish(),
+            ]
+        return [
+            *self.geometry(),
+            *self.wall_scale(),
+            *self.momentum(),
+            *self.viscosity(),
+            *self.each(divergence_kernel(*self.kind, self.two_phase)),
+            *self.pressure(),
+            *self.each(gradient_kernel(*self.kind, self.two_phase)),
+            *self.shifting(),
+            *self.motion(),
+            *self.finish(),
+        ]
+
+    # Launches.
+
+    def each(self, kernel: Any, **named: Any) -> list[Stage]:
+        """A kernel over the part's rows; then all wait."""
+        tasks = -(-(self.end - self.first) // span(self.serial))
+        return [self.p.stage(kernel, tasks, first=self.first, end=self.end, **named), *self.meet]
+
+    def alone(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
+        """A kernel that the first part runs for all; then all wait."""
+        return [*([self.p.stage(kernel, tasks, **named)] if self.part == 0 else []), *self.meet]
+
+    def in_blocks(self, kernel: Any, blocks: int | None = None, **named: Any) -> Stage:
+        """A kernel in whole blocks of a GPU, over all rows unless a number of blocks is given."""
+        return self.p.stage(kernel, BLOCK * (blocks or self.p.blocks), block=BLOCK, **named)
+
+    # Stages, in their order.
+
+    def geometry(self) -> list[Any]:
+        return self.each(geometry_kernel(*self.kind, self.two_phase))
+
+    def wall_scale(self) -> list[Any]:
+        """The factor that makes the wall's areas of all particles that of the wall."""
+        p = self.p
+        weights = {"weight": p.fields.wall_weight}
+        result = {"wanted": p.wet_area / p.state.layout.volume, "factor": p.fields.wall_scale}
+        if self.serial:
+            return self.alone(serial_scale(p.scalar), **weights, **result)
+        gather, divide = parallel_scale(p.scalar)
+        partial = p.viscous.partial
+        return [
+            self.in_blocks(gather, partial=partial, **weights),
+            self.in_blocks(divide, 1, partial=partial, **result),
+        ]
+
+    def momentum(self) -> list[Any]:
+        return self.each(momentum_kernel(*self.kind, self.two_phase))
+
+    def viscosity(self) -> list[Any]:
+        enough = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
+        return self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, enough)
+
+    def pressure(self) -> list[Any]:
+        scene, tolerance = self.scene, self.scene.tolerance
+        enough = LEAST_PRESSURE * tolerance * self.rate * scene.velocity / scene.radius * self.size
+        return self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, enough)
+
+    def shifting(self) -> list[Any]:
+        """The solve of what moves particles off crowds, and how far that is."""
+        tolerance, enough = SHIFTING
+        return [
+            *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, enough * self.size),
+            *self.each(shift_kernel(*self.kind)),
+        ]
+
+    def motion(self) -> list[Any]:
+        """Velocities of grains, then all particles, then grains' places."""
+        advance = self.each(advance_kernel(*self.kind))
+        if not self.two_phase:
+            return advance
+        p, grains = self.p, self.p.state.grains.count
+        before = self.alone(velocities_kernel(p.scalar, self.dimensions), grains)
+        after = self.alone(places_kernel(p.scalar, self.dimensions), grains)
+        return [*before, *advance, *after]
+
+    def finish(self) -> list[Any]:
+        return self.alone(finish, flags=self.p.particles.flags, late=self.p.fields.late)
+
+    def printed_weights(self) -> list[Any]:
+        """Of the scheme as the paper prints it."""
+        reach = paper_scheme.LAPLACIAN
+        return self.each(
+            paper_scheme.weights_kernel(*self.kind),
+            reach=reach * self.p.state.layout.spacing,
+            laplacian_number=lattice_number(self.dimensions, reach),
+        )
+
+    # Solves.
+
+    @property
+    def size(self) -> float:
+        """Norm of as many ones as there are particles."""
+        return math.sqrt(self.p.count)
+
+    @property
+    def rate(self) -> float:
+        """Force per volume that changes a velocity by 1 m/s within a step [kg/m3/s]."""
+        return self.scene.concrete.density / self.scene.time_step
+
+    def solve(self, system: Any, what: int, x: Any, tolerance: float, enough: float) -> list[Any]:
+        """Conjugate gradients down to `tolerance` of the residual at the start, or to `enough`; adds to `x`."""
+        p, maximum = self.p, self.scene.maximum_iterations
+        kind = p.scalar, self.dimensions, what == VISCOSITY
+        goal = {"tolerance": tolerance, "small_enough": enough}
+        if self.serial:
+            chunk = {"part": self.part, "parts": p.threads, "first": self.first, "end": self.end}
+            return [
+                p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunk)
+            ]
+        begin, ready = parallel_start(*kind)
+        multiply, update, direct = parallel_iteration(*kind)
+        body = []
+        for now in (0, 1) * (LOOPED // 2):
+            body += [
+                self.in_blocks(multiply, system=system),
+                self.in_blocks(update, now=now, system=system, x=x),
+                self.in_blocks(direct, now=now, what=what, maximum=maximum, system=system),
+            ]
+        return [
+            self.in_blocks(begin, system=system),
+            self.in_blocks(ready, 1, system=system, **goal),
+            Loop(system.going, body),
+        ]

@@ -1,0 +1,184 @@
+"""State of a flow: its particles on a device, and the places they start from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device import scalar_of
+from ..kernels.common.control import FLAGS
+from ..kernels.mps.structs import array_structs, flow_struct
+from .grains import Grains, scatter
+from .layout import Layout, layout
+from .scene import FluidScene
+
+CUTOFF = 2.1
+"""Reach of gradient, divergence and Laplacian over the spacing (Xu et al. 2021: 2.1 and 4.1)."""
+WIDE = 3.1
+"""Reach of the density over the spacing."""
+
+
+class FluidState:
+    """Everything that changes in a flow, and what follows from the places at its start.
+
+    Its arrays, with meaning, unit and shape, are those of the structs `Particles` and `Grains` in
+    `kernels/mps/structs.py`; they have a row for each fluid particle, in an order that never changes.
+    """
+
+    particles: Any
+    """A struct `Particles`."""
+    grain_arrays: Any
+    """A struct `Grains`; None in one phase."""
+
+    def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
+        self.scene, self.device, self.scalar = scene, device, scalar_of(precision)
+        self.structs = array_structs(self.scalar, scene.dimensions)
+        self.layout: Layout = layout(scene)
+        self.grains: Grains | None = None
+        fluid = self.layout.fluid
+        group, density = np.zeros(0, np.int32), np.zeros(0)
+        if scene.aggregates is not None and scene.aggregates.fraction > 0:
+            self.grains = scatter(scene, self.layout)
+            fluid = fluid[self.grains.order]
+            group = self.grains.group
+            density = np.where(group >= 0, scene.aggregates.density, scene.aggregates.mortar.density)
+        self.count = len(fluid)
+        start = np.zeros_like(fluid)
+        start[:, -1] = scene.velocity
+        surface = self.layout.height - 0.5 * self.layout.spacing
+        self.particles = self._filled(
+            self.structs.Particles,
+            position=fluid,
+            rounding=self.count,
+            velocity=start,
+            pressure=scene.concrete.density * scene.gravity * (surface - fluid[:, -1]),
+            density=density,
+            group=group,
+            flags=FLAGS,
+        )
+        self.grain_arrays = self._place_grains(fluid) if self.grains is not None else None
+
+    def _filled(self, struct: Any, **arrays: Any) -> Any:
+        """A struct of arrays: of host data, or of zeros."""
+        made = struct()
+        for name, value in arrays.items():
+            dtype = struct.vars[name].type.dtype
+            if isinstance(value, int):
+                setattr(made, name, wp.zeros(value, dtype=dtype, device=self.device))
+            else:
+                setattr(made, name, wp.array(value, dtype=dtype, device=self.device))
+        return made
+
+    def _place_grains(self, fluid: np.ndarray) -> Any:
+        grains = self.grains
+        assert grains is not None
+        # As the device has them, in its precision.
+        place = self.particles.position.numpy().astype(float)
+        middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
+        offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
+        return self._filled(
+            self.structs.Grains,
+            first=grains.first,
+            offset=offset,
+            middle=middle,
+            middle_rounding=grains.count,
+            step=grains.count,
+            spin=grains.count,
+            turn=np.tile(np.eye(self.scene.dimensions), (grains.count, 1, 1)),
+        )
+
+    @property
+    def mass(self) -> float:
+        """Of all fluid particles [kg], or [kg/m] in two dimensions."""
+        if self.grains is None:
+            return self.scene.concrete.density * self.layout.volume * self.count
+        return float(self.particles.density.numpy().sum(dtype=float)) * self.layout.volume
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Arrays that the next step depends on, lists apart."""
+        found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
+        if self.grain_arrays is not None:
+            found |= {f"grain_{name}": getattr(self.grain_arrays, name).numpy() for name in GRAIN_ARRAYS}
+        return found
+
+    def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
+        """Go on from a `state_dict`."""
+        for name in PARTICLE_ARRAYS:
+            getattr(self.particles, name).assign(found[name])
+        for name in GRAIN_ARRAYS if self.grain_arrays is not None else ():
+            getattr(self.grain_arrays, name).assign(found[f"grain_{name}"])
+
+
+PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure", "flags")
+GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
+"""What the next step depends on, of particles and of grains."""
+
+
+def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
+    """Struct of a flow's numbers for the kernels; `skin` of the lists over the spacing, `correction` the part of the
+    density's error that a step takes away.
+    """
+    scene = state.scene
+    flow = flow_struct(state.scalar)()
+    layout = state.layout
+    l0 = layout.spacing
+    fluid = scene.aggregates.mortar if scene.aggregates is not None else scene.concrete
+    values = dict(
+        count=state.count,
+        spacing=l0,
+        cutoff=CUTOFF * l0,
+        wide=WIDE * l0,
+        lattice_number=_sum_at_start(layout, CUTOFF, _weight),
+        lattice_density=_sum_at_start(layout, WIDE, _density_weight) + 1.0,
+        radius=scene.radius,
+        highest=1.5 * layout.height,
+        piston_speed=scene.velocity,
+        gravity=scene.gravity,
+        dt=scene.time_step,
+        density=scene.concrete.density,
+        viscosity=fluid.viscosity,
+        yield_stress=fluid.yield_stress,
+        regularisation=scene.regularisation,
+        slip_viscosity=scene.concrete.slip_viscosity,
+        slip_yield=scene.concrete.slip_yield,
+        aggregate_viscosity=scene.aggregates.viscosity if scene.aggregates is not None else 0.0,
+        correction=correction,
+        skin=skin * l0,
+    )
+    for name, value in values.items():
+        setattr(flow, name, value)
+    return flow
+
+
+def lattice_number(dimensions: int, reach: float) -> float:
+    """Sum of weights of a particle inside a square or cubic lattice; `reach` over its spacing."""
+    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
+    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
+    r = r[(r > 0) & (r < reach)]
+    return float(np.sum(reach / r - 1))
+
+
+def _weight(q: np.ndarray) -> np.ndarray:
+    return 1 / q - 1
+
+
+def _density_weight(q: np.ndarray) -> np.ndarray:
+    return (1 - q) ** 4 * (4 * q + 1)
+
+
+def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Mean over a layer amid the column of the weights of all others within `reach` spacings."""
+    everything = np.concatenate([layout.fluid, layout.wall])
+    middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
+    layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]
+    layer = layer[:: -(-len(layer) // 1000)]
+    near = everything[np.abs(everything[:, -1] - middle) < reach * layout.spacing]
+    parts = np.array_split(layer, -(-len(layer) // 50))
+    q = np.concatenate([np.linalg.norm(part[:, None] - near, axis=2).ravel() for part in parts])
+    q = q[(q > 0) & (q < reach * layout.spacing)] / (reach * layout.spacing)
+    return float(np.sum(weight(q))) / len(layer)

@@ -1,0 +1,51 @@
+"""Watch over a flow: stops it when its state no longer means anything."""
+
+from __future__ import annotations
+
+import math
+
+from ..core.errors import InstabilityError
+from .scene import FluidScene
+from .theory import velocity
+
+MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
+"""Columns that are numbers in every row of a flow that means anything."""
+CURES = "a smaller time step, a finer spacing, precision float64"
+
+
+class WatchedFlow:
+    """Checks every row of the series against the limits of the scene's `watch`."""
+
+    def __init__(self, scene: FluidScene) -> None:
+        self.limits = scene.watch
+        theory = scene.theory()
+        self.pressure = theory.pressure
+        self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
+
+    def __call__(self, row: dict[str, float]) -> None:
+        """Raises :class:`InstabilityError` naming time, quantity, limit and cures."""
+        limits = self.limits
+        for name in MEASURED:
+            if not math.isfinite(row[name]):
+                raise self._unstable(row, f"{name} is not a finite number")
+        if limits.speed is not None and row["fastest"] > limits.speed * self.top_speed:
+            raise self._unstable(
+                row, f"the fastest particle goes at {row['fastest']:.3g} m/s where theory has {self.top_speed:.3g} m/s "
+                f"at most (watch.speed = {limits.speed:g})"
+            )  # fmt: skip
+        if limits.pressure is not None and abs(row["pressure"]) > limits.pressure * abs(self.pressure):
+            raise self._unstable(
+                row, f"the pressure on the piston is {row['pressure']:.4g} Pa where theory has {self.pressure:.4g} Pa "
+                f"(watch.pressure = {limits.pressure:g})"
+            )  # fmt: skip
+        balance = row["force_balance_error"]
+        # In the first row the wall bears nothing yet.
+        if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
+            raise self._unstable(
+                row, f"forces do not balance by {balance:.3g} of the piston's (watch.force_balance = "
+                f"{limits.force_balance:g})"
+            )  # fmt: skip
+
+    @staticmethod
+    def _unstable(row: dict[str, float], what: str) -> InstabilityError:
+        return InstabilityError(f"t = {row['time']:.6g} s: {what}; usual cures: {CURES}")

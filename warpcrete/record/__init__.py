@@ -1,0 +1,1 @@
+"""Where runs go: run folders, recordings, USD scenes, pictures, notebooks."""

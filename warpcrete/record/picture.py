@@ -1,0 +1,24 @@
+"""The picture of a run folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..core.files import whole_file
+from ..core.run_loop import Recorder, Run, Simulation
+from ..methods import method_of
+
+
+class PictureRecorder(Recorder):
+    """Writes the picture that the run's method draws into `folder`, when the run ends."""
+
+    def __init__(self, folder: Path, *, colouring: str = "speed") -> None:
+        self.folder, self.colouring = folder, colouring
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Draw, if there is anything to draw."""
+        method = method_of(simulation.scene)
+        figure = method.draw(simulation, run, self.colouring)
+        if figure is not None:
+            with whole_file(self.folder / method.picture) as partial:
+                figure.savefig(partial, dpi=150, format="png")

@@ -1,0 +1,59 @@
+"""The recorders that a run folder may have, one entry each: the command makes its options from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.run_loop import Recorder
+from .picture import PictureRecorder
+from .rerun import RerunRecorder
+from .run_folder import TableRecorder
+from .usd import UsdRecorder
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a run is drawn."""
+
+    colouring: str = "speed"
+    network: bool = False
+    live: bool | str = False
+    """Shown in a Rerun viewer while it runs: True opens one, or the URL of one that runs."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A recorder that may be left out."""
+
+    name: str
+    """Of the option, and of the setting that is kept for a resumed run."""
+    default: bool
+    """Whether `warpcrete run` has it unless told otherwise; studies have none unless told."""
+    help: str
+    make: Callable[[Path, Look], Recorder]
+
+
+RECORDERS = (
+    Kind("rerun", True, "write run.rrd", lambda folder, look: RerunRecorder(
+        folder / "run.rrd", live=look.live, colouring=look.colouring, network=look.network)),
+    Kind("usd", True, "write scene.usdc", lambda folder, look: UsdRecorder(
+        folder / "scene.usdc", colouring=look.colouring)),
+)  # fmt: skip
+
+
+def recorders_of(
+    folder: Path, chosen: Mapping[str, Any], look: Look | None = None, command: dict[str, Any] | None = None
+) -> list[Recorder]:
+    """Recorders of a run folder: table and picture always, of the others those with a true entry in `chosen`.
+
+    `command` are settings to keep for a resumed run.
+    """
+    look = look or Look()
+    found: list[Recorder] = [TableRecorder(folder, command)]
+    found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
+    if look.live and not chosen.get("rerun"):
+        found.append(RerunRecorder(None, live=look.live, colouring=look.colouring, network=look.network))
+    return [*found, PictureRecorder(folder, colouring=look.colouring)]

@@ -1,0 +1,214 @@
+"""Recording for the Rerun viewer: to a file, to a viewer, or both."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import uuid
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ..core.display import Display
+from ..core.errors import RunFolderError, refuse
+from ..core.files import cannot_write
+from ..core.run_loop import Recorder, Run, Simulation
+
+FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
+LINE = 4e-4  # radius of the network's lines [m]
+
+
+class RerunRecorder(Recorder):
+    """Bodies (every clump drawn by its own spheres), moving walls and curves on one timeline.
+
+    Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
+    (`rerun+http://127.0.0.1:9876/proxy`); `colouring` of bodies, one of those that the method's display has; `network`
+    also draws lines between bodies, where the display has any (contacts grey, bonds orange).
+
+    Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
+    resumed goes on after a whole part. At the end they become one file.
+    """
+
+    def __init__(
+        self, path: Path | None, *, live: bool | str = False, colouring: str = "speed", network: bool = False
+    ) -> None:
+        self.path, self.live, self.colouring, self.network = path, live, colouring, network
+        self._recording: Any = None
+        self._display: Display | None = None
+        import rerun as rr
+
+        self._rr = rr
+        if isinstance(live, str):
+            try:
+                rr.GrpcSink(live)
+            except (RuntimeError, ValueError) as error:
+                refuse("live", live, f"is no viewer's URL ({error})", "for example rerun+http://127.0.0.1:9876/proxy")
+
+    def start(self, simulation: Simulation) -> None:
+        """Open the sinks, send the blueprint and everything that does not change."""
+        display = simulation.display(self.colouring)
+        self._open(display, str(uuid.uuid4()), 0, self._blueprint(display))
+        self._describe(display)
+
+    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+        """Drop the parts after the checkpoint and open the next."""
+        if self.path is not None:
+            for number in range(state["parts"]):
+                if not self._part(number).is_file():
+                    raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
+            for path in self._later_parts(state["parts"]):
+                path.unlink()
+        display = simulation.display(self.colouring)
+        self._open(display, state["recording_id"], state["parts"], self._blueprint(display) if self.live else None)
+        if self.live:
+            self._describe(display)
+
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Close the part and open the next."""
+        if self.path is not None:
+            self._flush()
+            self._parts += 1
+            self._recording.set_sinks(*self._sinks())
+        return {"recording_id": self._id, "parts": self._parts}
+
+    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
+        """Curves at one row."""
+        assert self._display is not None
+        self._set_time(simulation)
+        for plot in self._display.plots():
+            for curve in plot.curves:
+                value = curve.value(row)
+                if value is not None:
+                    self._log(f"{plot.path}/{curve.name}", self._rr.Scalars(value))
+
+    def frame(self, simulation: Simulation) -> None:
+        """Bodies, moving walls and, if asked for, the network."""
+        rr, display = self._rr, self._display
+        assert display is not None
+        self._set_time(simulation)
+        spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.colours())
+        self._log(f"scene/{display.noun}", spheres)
+        for number, wall in enumerate(display.walls()):
+            if wall.moves:
+                self._log_pose(number, wall.name)
+        if self.network:
+            for name, (lines, colour) in display.network().items():
+                self._log(f"scene/network/{name}", rr.LineStrips3D(lines, colors=[colour], radii=LINE))
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Flush and close."""
+        if self._recording is not None:
+            self._flush()
+            self._recording.disconnect()
+
+    def tidy(self, simulation: Simulation, run: Run) -> None:
+        """Make one file of the parts."""
+        if self.path is not None and self._parts > 0:
+            self._join()
+
+    def _describe(self, display: Display) -> None:
+        """Everything that does not change."""
+        rr = self._rr
+        self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
+        for number, wall in enumerate(display.walls()):
+            mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
+            self._log(f"scene/walls/{wall.name}", mesh, static=True)
+            if not wall.moves:
+                self._log_pose(number, wall.name, static=True)
+        for plot in display.plots():
+            for curve in plot.curves:
+                colours = None if curve.colour is None else [list(curve.colour)]
+                line = rr.SeriesLines(names=curve.label, colors=colours)
+                self._log(f"{plot.path}/{curve.name}", line, static=True)
+
+    def _log(self, path: str, what: Any, static: bool = False) -> None:
+        try:
+            self._recording.log(path, what, static=static)
+        except RuntimeError as error:
+            raise self._trouble(error) from error
+
+    def _log_pose(self, number: int, name: str, static: bool = False) -> None:
+        assert self._display is not None
+        position, orientation = self._display.wall_pose(number)
+        pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
+        self._log(f"scene/walls/{name}", pose, static=static)
+
+    def _set_time(self, simulation: Simulation) -> None:
+        self._recording.set_time("time", duration=simulation.stepper.time)
+        self._recording.set_time("step", sequence=simulation.stepper.steps)
+
+    def _blueprint(self, display: Display) -> Any:
+        import rerun.blueprint as rrb
+
+        eye, target = display.view(1.2)
+        scene = rrb.Spatial3DView(
+            name=f"{display.noun.capitalize()} by {self.colouring}",
+            origin="scene",
+            eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+            line_grid=rrb.LineGrid3D(visible=False),
+            background=(250, 250, 250),
+        )
+        plots = rrb.Vertical(*(rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()))
+        return rrb.Blueprint(rrb.Horizontal(scene, plots, column_shares=[2, 1]), collapse_panels=True)
+
+    # Sinks and the parts of the file.
+
+    def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
+        rr = self._rr
+        self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
+        self._id, self._parts, self._display = recording_id, part, display
+        if self.live is True:
+            rr.spawn(connect=False, recording=self._recording)
+        try:
+            self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
+        except RuntimeError as error:
+            raise self._trouble(error) from error
+
+    def _trouble(self, error: Exception) -> RunFolderError:
+        return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
+
+    def _flush(self) -> None:
+        try:
+            self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
+        except (RuntimeError, ValueError) as error:
+            if not self.live:
+                raise self._trouble(error) from error
+            # A viewer that is not there must not hold up the run; the file has everything.
+            warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
+            self.live = False
+
+    def _sinks(self) -> list[Any]:
+        rr = self._rr
+        sinks: list[Any] = []
+        if self.path is not None:
+            sinks.append(rr.FileSink(str(self._part(self._parts))))
+        if self.live:
+            sinks.append(rr.GrpcSink() if self.live is True else rr.GrpcSink(str(self.live)))
+        return sinks
+
+    def _part(self, number: int) -> Path:
+        assert self.path is not None
+        return self.path if number == 0 else self.path.with_name(f"{self.path.stem}-{number:04d}{self.path.suffix}")
+
+    def _later_parts(self, first: int) -> list[Path]:
+        assert self.path is not None
+        numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
+        later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]
+        return ([self.path] if first == 0 else []) + later
+
+    def _join(self) -> None:
+        """One file of all parts, by Rerun's own tool."""
+        assert self.path is not None
+        parts = [self._part(number) for number in range(self._parts + 1)]
+        partial = self.path.with_name("partial-" + self.path.name)
+        command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(partial)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode != 0 or not partial.is_file():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            warnings.warn(f"the parts of {self.path} stay apart, joining them failed: {last}", stacklevel=2)
+            partial.unlink(missing_ok=True)
+            return
+        partial.replace(self.path)
+        for path in parts[1:]:
+            path.unlink()

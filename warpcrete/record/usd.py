@@ -1,0 +1,233 @@
+"""The run as a USD scene: bodies with time samples, walls, a camera.
+
+Rigid bodies are one point instancer with a prototype for each shape, particles are points.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (the pxr modules fill themselves when they load)
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.display import Display, DrawnWall, RigidBodies
+from ..core.errors import RunFolderError
+from ..core.files import cannot_write, whole_file
+from ..core.run_loop import Recorder, Run, Simulation
+
+FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
+
+
+class UsdRecorder(Recorder):
+    """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres."""
+
+    def __init__(self, path: Path, *, colouring: str = "speed") -> None:
+        self.path, self.colouring = path, colouring
+        self._stage: Any = None
+        self._bodies: Any = None
+        self._first: float | None = None
+        self._last: float | None = None
+
+    def start(self, simulation: Simulation) -> None:
+        """Stage, prototypes, walls and camera."""
+        from pxr import Usd
+
+        self._build(simulation, Usd.Stage.CreateInMemory())
+
+    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+        """Open the file of the checkpoint and take out what came after it."""
+        from pxr import Sdf, Tf, Usd
+
+        try:
+            layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
+        except Tf.ErrorException as error:
+            raise RunFolderError(f"'{self.path}': is missing or damaged; the run cannot be resumed") from error
+        self._first, self._last = state["first"], state["last"]
+
+        paths: list[Any] = []
+        layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+        for path in paths:
+            if path.IsPropertyPath():
+                for code in layer.ListTimeSamplesForPath(path):
+                    if code > self._last:
+                        layer.EraseTimeSample(path, code)
+        self._build(simulation, Usd.Stage.Open(layer))
+
+    def _build(self, simulation: Simulation, stage: Any) -> None:
+        """Everything that does not change; on a stage that has it already, the same again."""
+        from pxr import UsdGeom
+
+        self._stage = stage
+        self._display = display = simulation.display(self.colouring)
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
+        stage.SetFramesPerSecond(round(1 / simulation.frame_interval) or 1)
+        root = UsdGeom.Xform.Define(stage, "/Run")
+        stage.SetDefaultPrim(root.GetPrim())
+        rigid = display.rigid_bodies()
+        path = f"/Run/{display.noun.capitalize()}"
+        self._bodies = _Points(stage, path, display) if rigid is None else _Instances(stage, path, display, rigid)
+        self._build_walls(display.walls())
+        self._build_camera(display)
+
+    def _build_walls(self, walls: list[DrawnWall]) -> None:
+        from pxr import Gf, Usd, UsdGeom, Vt
+
+        UsdGeom.Xform.Define(self._stage, "/Run/Walls")
+        self._poses: dict[int, tuple[Any, Any]] = {}
+        for number, wall in enumerate(walls):
+            mesh = UsdGeom.Mesh.Define(self._stage, f"/Run/Walls/{_prim_name(wall.name, number, walls)}")
+            points = wall.vertices.astype(np.float32)
+            mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+            mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(wall.faces), 3, np.int32)))
+            mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(wall.faces.astype(np.int32).ravel()))
+            mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+            mesh.CreateDoubleSidedAttr(True)
+            mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+            mesh.CreateDisplayColorAttr([Gf.Vec3f(0.75, 0.43, 0.24) if wall.moves else Gf.Vec3f(0.59, 0.65, 0.7)])
+            mesh.CreateDisplayOpacityAttr([1.0 if wall.moves else 0.15])
+            mesh.ClearXformOpOrder()
+            self._poses[number] = (mesh.AddTranslateOp(), mesh.AddOrientOp(UsdGeom.XformOp.PrecisionDouble))
+            if not wall.moves:
+                self._pose(number, Usd.TimeCode.Default())
+        self._moving = [number for number, wall in enumerate(walls) if wall.moves]
+
+    def _build_camera(self, display: Display) -> None:
+        from pxr import Gf, UsdGeom
+
+        eye, target = display.view(1.9)
+        camera = UsdGeom.Camera.Define(self._stage, "/Run/Camera")
+        look = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*map(float, eye)), Gf.Vec3d(*map(float, target)), Gf.Vec3d(0, 0, 1))
+        camera.ClearXformOpOrder()
+        camera.AddTransformOp().Set(look.GetInverse())
+        distance = float(np.linalg.norm(eye - target))
+        camera.CreateFocalLengthAttr(22.0)
+        camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * distance, 100 * distance))
+        camera.CreateFocusDistanceAttr(distance)
+
+    def frame(self, simulation: Simulation) -> None:
+        """One time sample of all bodies and moving walls."""
+        from pxr import Usd
+
+        code = Usd.TimeCode(simulation.stepper.time * FRAMES_PER_SECOND)
+        self._first = code.GetValue() if self._first is None else self._first
+        self._last = code.GetValue()
+        self._bodies.frame(self._display, code)
+        for number in self._moving:
+            self._pose(number, code)
+
+    def _pose(self, number: int, code: Any) -> None:
+        from pxr import Gf
+
+        position, (x, y, z, w) = self._display.wall_pose(number)
+        translate, orient = self._poses[number]
+        translate.Set(Gf.Vec3d(*map(float, position)), code)
+        orient.Set(Gf.Quatd(float(w), float(x), float(y), float(z)), code)
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Write the file."""
+        if self._stage is not None:
+            self._write()
+
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Write the file as it is so far."""
+        self._write()
+        return {"first": self._first, "last": self._last}
+
+    def _write(self) -> None:
+        from pxr import Tf
+
+        if self._first is None:
+            return
+        self._stage.SetStartTimeCode(self._first)
+        self._stage.SetEndTimeCode(self._last)
+        with whole_file(self.path) as partial:
+            try:
+                written = self._stage.GetRootLayer().Export(str(partial))
+            except Tf.ErrorException as error:
+                raise cannot_write(self.path, error) from error
+            if not written:
+                raise RunFolderError(f"'{self.path}': cannot be written; what is on disk so far is kept")
+
+
+class _Instances:
+    """Rigid bodies as a point instancer."""
+
+    def __init__(self, stage: Any, path: str, display: Display, rigid: RigidBodies) -> None:
+        from pxr import Gf, Sdf, UsdGeom, Vt
+
+        self._instancer = instancer = UsdGeom.PointInstancer.Define(stage, path)
+        shapes = []
+        for number, prototype in enumerate(rigid.prototypes):
+            shape = f"{path}/Prototypes/Template_{number}"
+            UsdGeom.Xform.Define(stage, shape).GetPrim().SetMetadata("comment", prototype.name)
+            for k, (offset, radius) in enumerate(zip(prototype.offsets, prototype.radii, strict=True)):
+                ball = UsdGeom.Sphere.Define(stage, f"{shape}/Sphere_{k}")
+                ball.CreateRadiusAttr(float(radius))
+                ball.CreateExtentAttr([Gf.Vec3f(*[-float(radius)] * 3), Gf.Vec3f(*[float(radius)] * 3)])
+                UsdGeom.XformCommonAPI(ball).SetTranslate(Gf.Vec3d(*map(float, offset)))
+            shapes.append(shape)
+        size = rigid.sizes.astype(np.float32)
+        instancer.CreatePrototypesRel().SetTargets(shapes)
+        instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(rigid.prototype.astype(np.int32)))
+        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(size), dtype=np.int64)))
+        instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(np.repeat(size[:, None], 3, 1)))
+        self._colour = UsdGeom.PrimvarsAPI(instancer).CreatePrimvar(
+            "displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex
+        )
+        extents = np.array([prototype.extent for prototype in rigid.prototypes])
+        self._reach = size * extents[rigid.prototype] if len(size) else size
+
+    def frame(self, display: Display, code: Any) -> None:
+        from pxr import Vt
+
+        pose = display.pose()
+        position = pose.positions.astype(np.float32)
+        # USD stores quaternions in half precision, real part last in memory as here.
+        orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
+        self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
+        self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
+        self._instancer.CreateVelocitiesAttr().Set(Vt.Vec3fArray.FromNumpy(pose.velocities.astype(np.float32)), code)
+        if len(position):
+            extent = _extent(position, self._reach[:, None])
+            self._instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
+        self._colour.Set(Vt.Vec3fArray.FromNumpy(display.body_colours().astype(np.float32) / 255), code)
+
+
+class _Points:
+    """Particles as points."""
+
+    def __init__(self, stage: Any, path: str, display: Display) -> None:
+        from pxr import UsdGeom, Vt
+
+        self._points = UsdGeom.Points.Define(stage, path)
+        self._radii = display.radii().astype(np.float32)
+        self._points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(2 * self._radii))
+        self._points.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(self._radii), dtype=np.int64)))
+        self._colour = self._points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+
+    def frame(self, display: Display, code: Any) -> None:
+        from pxr import Vt
+
+        place = display.centres().astype(np.float32)
+        self._points.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(place), code)
+        extent = _extent(place, self._radii[:, None])
+        self._points.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
+        self._colour.Set(Vt.Vec3fArray.FromNumpy(display.colours().astype(np.float32) / 255), code)
+
+
+def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Lowest and highest corner of bodies."""
+    return np.stack([(places - reach).min(0), (places + reach).max(0)]).astype(np.float32)
+
+
+def _prim_name(name: str, number: int, walls: list[DrawnWall]) -> str:
+    from pxr import Tf
+
+    valid = Tf.MakeValidIdentifier(name)
+    same = [wall for wall in walls if Tf.MakeValidIdentifier(wall.name) == valid]
+    return valid if len(same) == 1 and name else f"{valid}_{number}"

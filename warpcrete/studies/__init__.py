@@ -1,0 +1,1 @@
+"""Many runs together: parameter studies, and what is made of unit pressures."""

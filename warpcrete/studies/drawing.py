@@ -1,0 +1,73 @@
+"""The figure of a parameter study."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.method import Quantity
+from ..core.units import shown
+
+MARKERS = ("o", "s", "^", "D", "v")
+ACROSS = 3  # axes beside one another
+
+
+def draw(study: Any) -> Any:
+    """Matplotlib figure: each quantity that the study compares over each varied parameter, with its scatter.
+
+    Quantities of one unit share an axis. Numbers are joined by lines, words stand side by side; the other varied
+    parameters tell the lines apart.
+    """
+    from matplotlib.figure import Figure
+
+    names = study.varied or ["seed"]
+    units = list(dict.fromkeys(each.unit for each in study.quantities))
+    across = min(len(names), ACROSS)
+    down = len(units) * -(-len(names) // ACROSS)
+    figure = Figure(figsize=(4.8 * across + 0.6, 3.4 * down), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False)
+    rows = study.rows()
+    for block, unit in enumerate(units):
+        drawn = [each for each in study.quantities if each.unit == unit]
+        for place, name in enumerate(names):
+            axes = grid[block * (down // len(units)) + place // ACROSS, place % ACROSS]
+            _panel(axes, study, rows, name, drawn)
+    for axes in grid.ravel():
+        axes.set_visible(bool(axes.lines or axes.containers))
+    figure.suptitle(study.scene, fontsize=10)
+    return figure
+
+
+def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
+    """Some quantities over one parameter."""
+    mine = [row for row in rows if name in row] or rows
+    values = list(dict.fromkeys(row.get(name, 0) for row in mine))
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    factor, unit = shown(drawn[0].unit)
+    lines: dict[str, list[dict[str, Any]]] = {}
+    for row in mine:
+        label = ", ".join(f"{study.heading(n)} {row[n]}" for n in study.varied if n != name and n in row)
+        lines.setdefault(label, []).append(row)
+    for k, (label, part) in enumerate(lines.items()):
+        part = sorted(part, key=lambda row: row.get(name, 0)) if numeric else part
+        # Words stand side by side, the lines a little apart.
+        x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) + 0.08 * k for row in part]
+        for each, marker in zip(drawn, MARKERS):
+            y = np.array([row[each.name] for row in part]) * factor
+            scatter = np.nan_to_num([row[f"{each.name}_scatter"] for row in part]) * factor
+            axes.errorbar(
+                x, y, scatter, fmt=marker, linestyle="-" if numeric else "none", color=f"C{k % 10}", capsize=3,
+                markersize=4, linewidth=1.3, fillstyle="full" if each is drawn[0] else "none",
+                label=f"{each.title}, {label}" if label else each.title,
+            )  # fmt: skip
+    if not numeric:
+        axes.set_xticks(range(len(values)), [str(v) for v in values])
+        axes.margins(x=0.2)
+    axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{drawn[0].title if len(drawn) == 1 else ''} [{unit}]")
+    lower, upper = axes.get_ylim()
+    if lower > 0:  # from zero on, but where a quantity has both signs
+        axes.set_ylim(0, upper)
+    axes.spines[["top", "right"]].set_visible(False)
+    count = len(lines) * len(drawn)
+    axes.legend(frameon=False, fontsize=8 if count <= 6 else 6, ncols=1 if count <= 10 else 2)

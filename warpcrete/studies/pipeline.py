@@ -1,0 +1,60 @@
+"""Pressure of a whole pipeline from unit pressures (Zhan et al. 2019, Eq. 13)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..core.errors import RunFolderError, between, one_of, refuse
+from ..core.run_loop import Run
+from ..core.units import number, quantity
+
+STRAIGHT = ("vertical", "horizontal")
+
+
+def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:
+    """Total pressure [Pa] from pressure per metre of vertical and horizontal pipe [Pa/m] and their lengths [m]."""
+    between("pipeline vertical length", height, 0, float("inf"), "m")
+    between("pipeline horizontal length", distance, 0, float("inf"), "m")
+    return vertical * height + horizontal * distance
+
+
+def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
+    """Refuse scenes that Eq. 13 says nothing of, and an `other` result, read from `source`, that does not go with it."""
+    pipe = getattr(scene, "pipe", None)
+    if pipe is None:
+        refuse("pipeline", scene.name, "is Eq. 13 of straight units of discrete elements", "take the scene pipe")
+    one_of("unit", pipe.name, STRAIGHT)
+    if other is not None:
+        if "plateau_pressure" not in other or "concrete_length" not in other:
+            raise RunFolderError(f"pipeline_other = '{source}': is not the folder of a finished pipe run with a plateau")
+        one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
+
+
+def pipeline_estimate(run: Run, height: float, distance: float, other: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Eq. 13 with the plateau of `run` for its own direction.
+
+    The other direction comes from `other`, the result.json of a run of the other straight unit; without one it
+    is this run's plateau less (or plus) the weight of the concrete, an assumption that the result names.
+    """
+    pipe = run.scene.pipe
+    own = number(run.result["plateau_pressure"]) / pipe.concrete_length
+    gravity = -run.scene.gravity[2]
+    bodies = run.bodies  # type: ignore[attr-defined]
+    solids = bodies.mass[[g == "" for g in bodies.group]].sum()
+    weight = float(solids) * gravity / (run.scene.pressure.area * pipe.concrete_length)
+    upward = pipe.name == "vertical"
+    if other is not None:
+        rest = number(other["plateau_pressure"]) / number(other["concrete_length"])
+        source = f"plateau of the {other['unit']} run"
+    else:
+        rest = own - weight if upward else own + weight
+        source = "this run's plateau " + ("less" if upward else "plus") + " the weight of the concrete (assumed)"
+    vertical, horizontal = (own, rest) if upward else (rest, own)
+    return {
+        "vertical_length": quantity(height, "m"),
+        "horizontal_length": quantity(distance, "m"),
+        "vertical_per_metre": quantity(vertical, "Pa/m"),
+        "horizontal_per_metre": quantity(horizontal, "Pa/m"),
+        "other_direction_from": source,
+        "total_pressure": quantity(pipeline_pressure(vertical, horizontal, height, distance), "Pa"),
+    }

@@ -1,0 +1,145 @@
+"""How the cases of a study run: together on a GPU, in processes on a CPU."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+from ..core.device import default_threads
+from ..core.errors import WarpcreteError
+from ..core.interrupts import StopAtSample, leave_to_parent
+from ..core.run_loop import Run
+from ..methods import Simulation, method_of
+from ..record.recorders import recorders_of
+from .cases import Case
+
+Progress = Callable[[str, float, dict[str, Any]], None]
+Book = Callable[[Case, Any], None]
+"""Told what came of a case: a run, its result.json, or an exception."""
+
+
+def simulation_of(
+    record: dict[str, Any], module: Any, folder: Path, case: Case, threads: int, tell: Progress
+) -> tuple[Simulation, Path | None]:
+    """Simulation of a case, into its run folder, and the checkpoint that it goes on from, if there is one."""
+    here, command = folder / case.name, record["command"]
+    every = command["checkpoint_every"]
+    checkpoint = here / "checkpoint.npz"
+    simulation = Simulation(
+        module.scene(**case.parameters),
+        device=record["device"],
+        precision=record["precision"],
+        threads=threads,
+        recorders=recorders_of(here, command),
+        frame_interval=1.0 / command["frames"],
+        progress=tell,
+        checkpoint_path=checkpoint if every else None,
+        checkpoint_every=every,
+    )
+    return simulation, checkpoint if checkpoint.is_file() else None
+
+
+def run_on_gpu(
+    record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book, tell: Progress
+) -> None:
+    """All cases as the method runs many."""
+    done = dict.fromkeys((c.name for c in pending), 0.0)
+
+    def told(name: str) -> Progress:
+        def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+            if phase == "running":
+                done[name] = fraction
+                tell("running", sum(done.values()) / len(done), {})
+
+        return hear
+
+    pairs = [simulation_of(record, module, folder, case, 1, told(case.name)) for case in pending]
+    simulations = [simulation for simulation, _ in pairs]
+    with StopAtSample(simulations) as stop:
+
+        def packing(phase: str, fraction: float) -> None:
+            if phase == "packing":
+                if stop.asked:
+                    raise KeyboardInterrupt
+                tell(phase, fraction, {})
+
+        method = method_of(simulations[0].scene)
+        outcomes = method.run_many(simulations, [checkpoint for _, checkpoint in pairs], packing)
+    for case, outcome in zip(pending, outcomes):
+        book(case, outcome)
+
+
+def run_in_processes(
+    record: dict[str, Any], module: Any, folder: Path, pending: list[Case], processes: int | None, book: Book
+) -> None:
+    """One case a process at a time, so that after a Ctrl-C nothing begins that has not begun."""
+    workers = min(processes or default_threads(), len(pending))
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event()
+    left = list(pending)
+    running: dict[Any, Case] = {}
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
+        while left or running:
+            try:
+                while left and len(running) < workers and not stop.is_set():
+                    future = pool.submit(_run_case, record, module.__name__, str(folder), left[0])
+                    running[future] = left.pop(0)
+                if not running:
+                    break
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    case = running.pop(future)
+                    try:
+                        book(case, future.result())
+                    except Exception as broken:  # a process that was killed, or what nobody foresaw
+                        book(case, WarpcreteError(f"its process failed: {type(broken).__name__}: {broken}"))
+            except KeyboardInterrupt:
+                stop.set()  # those that run end at their next sample
+            except BrokenExecutor as broken:
+                for case in left:
+                    book(case, WarpcreteError(f"not run: {broken}"))
+                left.clear()
+
+
+_stop_event: Any = None
+
+
+def _begin_worker(stop: Any) -> None:
+    """A worker leaves Ctrl-C to its parent, which tells it through `stop`, and ends when its parent is gone."""
+    global _stop_event
+    _stop_event = stop
+    leave_to_parent()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait for the parent's end, whatever it dies of, and end at once: nobody is left to run cases for."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case) -> Any:
+    """One case in a process of its own; returns its result.json, or what it failed with."""
+    simulation: Simulation | None = None
+
+    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        if _stop_event is not None and _stop_event.is_set():
+            if phase != "running" or simulation is None:
+                raise KeyboardInterrupt
+            simulation.stop_requested = True
+
+    module = importlib.import_module(module_name)
+    simulation, checkpoint = simulation_of(record, module, Path(folder), case, 1, hear)
+    run_many = method_of(simulation.scene).run_many
+    (outcome,) = run_many([simulation], [checkpoint], lambda phase, fraction: hear(phase, fraction, {}))
+    if isinstance(outcome, Run):
+        return outcome.result
+    return outcome if isinstance(outcome, Exception) else None

@@ -1,0 +1,240 @@
+"""Parameter studies: cases from lists of values, run side by side, with one table and one figure.
+
+On a GPU all cases that need the same features are one batch; on a CPU each runs in a process of its own. Every case
+fills a run folder of its own below the study's, and a study that is started again runs only what is not finished.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.device import find_device
+from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
+from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.method import Quantity
+from ..core.parameters import declared_fields
+from ..core.provenance import provenance
+from ..core.run_loop import Run
+from ..core.units import number, shown
+from ..methods import method_of
+from ..record.recorders import RECORDERS
+from .cases import Case, cases_of
+from .drawing import draw
+from .running import run_in_processes, run_on_gpu
+
+FAILED = "failed.txt"
+Progress = Callable[[str, float, dict[str, Any]], None]
+
+
+@dataclass(repr=False)
+class Study:
+    """A finished study, or what there is of it."""
+
+    folder: Path
+    scene: str
+    """Name of the scene."""
+    cases: list[Case]
+    quantities: Sequence[Quantity] = ()
+    """What the cases are compared by."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of the varied parameters, as far as they have any."""
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """result.json of every finished case, by name."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """What ended a case, by name."""
+
+    def __repr__(self) -> str:
+        done = len(self.results) + len(self.failures)
+        return f"<Study of scene {self.scene!r}: {done} of {len(self.cases)} cases done, folder '{self.folder}'>"
+
+    @property
+    def finished(self) -> bool:
+        """Every case ran to its end, or failed for good."""
+        return len(self.results) + len(self.failures) == len(self.cases)
+
+    @property
+    def varied(self) -> list[str]:
+        """Names of the parameters that vary."""
+        return list(dict.fromkeys(key for case in self.cases for key in case.varied))
+
+    def heading(self, parameter: str) -> str:
+        """A parameter with its unit."""
+        return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each set of varied values: mean and scatter (standard deviation) of the quantities over its seeds."""
+        groups: dict[str, list[Case]] = {}
+        for case in self.cases:
+            groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
+        rows = []
+        for members in groups.values():
+            row: dict[str, Any] = dict(members[0].varied)
+            done = [self.results[c.name] for c in members if c.name in self.results]
+            for each in self.quantities:
+                values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
+                row[each.name] = float(np.mean(values)) if values else float("nan")
+                row[f"{each.name}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+            row["runs"] = len(done)
+            row["failed"] = sum(c.name in self.failures for c in members)
+            rows.append(row)
+        return rows
+
+    def table(self) -> str:
+        """Markdown table, in the units that people read."""
+        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.quantities]
+        head = [*map(self.heading, self.varied), *titles, "runs", "failed"]
+        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        for row in self.rows():
+            cells = [str(row.get(name, "")) for name in self.varied]
+            for each in self.quantities:
+                factor = shown(each.unit)[0]
+                mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
+                text = f"{mean:.2f}" if np.isfinite(mean) else "none"
+                cells.append(text + (f" +- {scatter:.2f}" if np.isfinite(scatter) else ""))
+            lines.append("| " + " | ".join([*cells, str(row["runs"]), str(row["failed"])]) + " |")
+        return "\n".join(lines)
+
+    def write(self) -> None:
+        """Table as Markdown and CSV, and the figure, of what there is."""
+        rows = self.rows()
+        units = {each.name: each.unit for each in self.quantities}
+        units |= {f"{name}_scatter": unit for name, unit in units.items()}
+        names = list(dict.fromkeys(key for row in rows for key in row))
+        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
+            writer.writerows([[row.get(name, "") for name in names] for row in rows])
+        with whole_file(self.folder / "study.md") as partial:
+            partial.write_text(f"{self.table()}\n")
+        if self.results:
+            with whole_file(self.folder / "study.png") as partial:
+                draw(self).savefig(partial, dpi=150, format="png")
+
+
+def run_study(
+    scene_name: str,
+    module: Any,
+    varied: Mapping[str, Sequence[Any]],
+    *,
+    base: Mapping[str, Any] | None = None,
+    out: Path,
+    repeat: int = 1,
+    one_at_a_time: bool = False,
+    device: str | None = None,
+    precision: str = "float32",
+    processes: int | None = None,
+    frames: float = 25.0,
+    checkpoint_every: float = 60.0,
+    progress: Progress | None = None,
+    **recorders: bool,
+) -> Study:
+    """Run a study of the scene function `module.scene` into the new folder `out`.
+
+    `varied` holds the values of each varied parameter, `base` the others that differ from their defaults; `repeat`
+    runs every case with so many seeds; `one_at_a_time` varies each parameter alone. `processes` are those of a CPU
+    (default: one a core); `recorders` those that a case has besides table and picture (`rerun`, `usd`). Raises
+    :class:`SceneError` before anything is written if any case makes no scene.
+    """
+    known = declared_fields(module.scene.parameters)
+    base, varied = module.scene.resolved(base or {}), module.scene.resolved(varied)
+    strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
+    if strange:
+        refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
+    if "precision" in known:
+        if "precision" in varied or base.get("precision", precision) != precision:
+            refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
+        base = {**base, "precision": precision}
+    defaults = {name: found.default for name, found in known.items()}
+    cases = cases_of(base, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time)
+    cases = _meaningful(module.scene, cases)
+    positive("frames", frames, "1/s")
+    between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
+    found = find_device(device)
+    for case in cases:
+        module.scene(**case.parameters)
+    check_new(out)
+    out.mkdir(parents=True)
+    write_json(
+        out / "study.json",
+        {
+            "scene": scene_name,
+            "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
+            "device": str(found),
+            "precision": precision,
+            "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
+            "provenance": provenance(found, precision, int(base.get("seed", 0))),
+        },
+    )
+    return resume_study(out, module, processes=processes, progress=progress)
+
+
+def resume_study(
+    folder: Path, module: Any, *, processes: int | None = None, progress: Progress | None = None
+) -> Study:
+    """Go on with a study: finished and failed cases stay as they are, begun ones go on from their checkpoints."""
+    record = read_json(folder / "study.json")
+    try:
+        cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
+        record["command"], record["device"]
+    except (KeyError, TypeError) as error:
+        raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
+    method = method_of(module.scene(**cases[0].parameters))
+    units = {name: f.unit.strip() for name, f in declared_fields(module.scene.parameters).items()}
+    study = Study(folder, record["scene"], cases, method.compared, units)
+    pending = [case for case in cases if not _known(study, case)]
+    tell = progress or (lambda phase, fraction, figures: None)
+
+    def book(case: Case, outcome: Any) -> None:
+        """Note what came of a case. Only what the case itself is to blame for counts for good."""
+        if isinstance(outcome, Run | dict):
+            result = outcome.result if isinstance(outcome, Run) else outcome
+            if result.get("finished"):
+                study.results[case.name] = result
+        elif isinstance(outcome, Exception):
+            study.failures[case.name] = str(outcome) or type(outcome).__name__
+            if isinstance(outcome, InstabilityError | SceneError):
+                (folder / case.name).mkdir(exist_ok=True)
+                (folder / case.name / FAILED).write_text(f"{outcome}\n")
+        tell("running", len(study.results) / len(cases), {})
+
+    if pending:
+        if find_device(record["device"]).is_cuda:
+            run_on_gpu(record, module, folder, pending, book, tell)
+        else:
+            run_in_processes(record, module, folder, pending, processes, book)
+    study.write()
+    return study
+
+
+def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
+    """Cases without the parameters that mean nothing there; refused are those that mean nothing in any of them."""
+    found = [replace(case, parameters=scene.meaningful(case.parameters)) for case in cases]
+    used = {name for case in found for name in case.parameters}
+    for case in cases:
+        if set(case.parameters) - used:
+            scene(**case.parameters)  # says why
+    return found
+
+
+def _known(study: Study, case: Case) -> bool:
+    """Take over a case that is finished or failed; clear away one that was cut before its first checkpoint."""
+    folder = study.folder / case.name
+    if (folder / FAILED).is_file():
+        study.failures[case.name] = (folder / FAILED).read_text().strip()
+        return True
+    if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
+        result = read_json(folder / "result.json")
+        if result.get("finished"):
+            study.results[case.name] = result
+            return True
+    if folder.exists() and not (folder / "checkpoint.npz").is_file():
+        shutil.rmtree(folder)
+    return False
