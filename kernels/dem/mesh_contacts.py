@@ -69,23 +69,14 @@ def minimum_function(scalar):
 
 
 @functools.cache
-def finding_function(scalar):
-    """`find_contacts`: normals, gaps and walls of a sphere's mesh contacts, one for each surface that it touches."""
+def face_function(scalar):
+    """`touch_of_face`: whether a sphere touches a surface on one of its faces, the normal into the wall, and the gap."""
     t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Slots, Candidates, Walls, Surfaces = (
-        structs.Scenes, structs.Slots, structs.Candidates, structs.Walls, structs.Surfaces
-    )  # fmt: skip
+    Slots, Walls, Surfaces = structs.Slots, structs.Walls, structs.Surfaces
     is_local_minimum = minimum_function(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
     safe_normalize = vector_functions(scalar).safe_normalize
-
-    @wp.struct
-    class Found:
-        count: wp.int32
-        normals: wp.types.matrix((MESH_SLOTS, 3), scalar)
-        gaps: wp.types.vector(MESH_SLOTS, scalar)
-        walls: wp.types.vector(MESH_SLOTS, wp.int32)
 
     @wp.func
     def side_before(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
@@ -99,58 +90,41 @@ def finding_function(scalar):
         return side
 
     @wp.func
-    def find_contacts(
+    def touch_of_face(
         i: wp.int32,
-        scene: wp.int32,
-        begin: wp.int32,
-        end: wp.int32,
+        face: wp.int32,
+        w: wp.int32,
+        first_wall: wp.int32,
+        analytic: wp.int32,
         x: t.vec3,
         radius: scalar,
-        scenes: Scenes,
         slots: Slots,
-        candidates: Candidates,
         walls: Walls,
         surfaces: Surfaces,
-        flags: wp.array2d(dtype=wp.int32),
     ):
-        found = Found()
-        for k in range(begin, end):
-            face = candidates.face[k]
-            w = surfaces.wall[face]
-            local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
-            a = surfaces.corners[surfaces.faces[face, 0]]
-            b = surfaces.corners[surfaces.faces[face, 1]]
-            c = surfaces.corners[surfaces.faces[face, 2]]
-            point, feature = closest_on_triangle(local, a, b, c)
-            offset = local - point
-            distance = wp.length(offset)
-            if distance < radius:
-                if is_local_minimum(feature, face, walls.table[w].first_face, offset, surfaces):
-                    n = -safe_normalize(offset, -wp.normalize(wp.cross(b - a, c - a)))
-                    n = wp.quat_rotate(walls.orientation[w], n)
-                    gap = distance - radius
-                    # A centre pushed through the surface: the side it touched before is the inside.
-                    if side_before(slots, i, scenes.row[scene].analytic, w - scenes.row[scene].walls, n) < scalar(-0.7):
-                        n = -n
-                        gap = -distance - radius
-                    place = wp.int32(-1)
-                    for s in range(found.count):
-                        if found.walls[s] == w and wp.dot(found.normals[s], n) > scalar(wp.static(MERGE_COSINE)):
-                            place = s
-                    if place < 0 and found.count == MESH_SLOTS:
-                        flags[scene, OVERFLOW] = 1
-                    else:
-                        if place < 0:
-                            place = found.count
-                            found.count = found.count + 1
-                            found.gaps[place] = scalar(0.0)
-                        if gap < found.gaps[place]:
-                            found.normals[place] = n
-                            found.gaps[place] = gap
-                            found.walls[place] = w
-        return found
+        n = t.vec3()
+        gap = scalar(0.0)
+        touches = wp.bool(False)
+        local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
+        a = surfaces.corners[surfaces.faces[face, 0]]
+        b = surfaces.corners[surfaces.faces[face, 1]]
+        c = surfaces.corners[surfaces.faces[face, 2]]
+        point, feature = closest_on_triangle(local, a, b, c)
+        offset = local - point
+        distance = wp.length(offset)
+        if distance < radius:
+            if is_local_minimum(feature, face, walls.table[w].first_face, offset, surfaces):
+                touches = wp.bool(True)
+                n = -safe_normalize(offset, -wp.normalize(wp.cross(b - a, c - a)))
+                n = wp.quat_rotate(walls.orientation[w], n)
+                gap = distance - radius
+                # A centre pushed through the surface: the side it touched before is the inside.
+                if side_before(slots, i, analytic, w - first_wall, n) < scalar(-0.7):
+                    n = -n
+                    gap = -distance - radius
+        return touches, n, gap
 
-    return SimpleNamespace(Found=Found, find_contacts=find_contacts)
+    return touch_of_face
 
 
 @functools.cache
@@ -163,12 +137,14 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
     )  # fmt: skip
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
-    find_contacts = finding_function(scalar).find_contacts
+    touch_of_face = face_function(scalar)
     surface_touch = surface_touch_function(scalar)
     xyz = vector_functions(scalar).xyz
     add_to_wall = wall_force_function(scalar)
     span = SPAN if half else 1
     slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
+    slots_vector = wp.types.vector(MESH_SLOTS, scalar)
+    slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
 
     @wp.func
     def history_of(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
@@ -221,14 +197,36 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
             total_force = t.vec3()
             total_moment = t.vec3()
             total_lost = wp.float64(0.0)
-            found = find_contacts(
-                i, scene, begin, end, x, radius, scenes, slots, candidates, walls, surfaces, flags
-            )
+            # One contact for each surface that the sphere touches.
+            found = wp.int32(0)
+            normals = slots_matrix()
+            gaps = slots_vector()
+            owners = slots_index()
+            for k in range(begin, end):
+                face = candidates.face[k]
+                w = surfaces.wall[face]
+                touches, n, gap = touch_of_face(i, face, w, wall_base, analytic, x, radius, slots, walls, surfaces)
+                if touches:
+                    place = wp.int32(-1)
+                    for s in range(found):
+                        if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(MERGE_COSINE)):
+                            place = s
+                    if place < 0:
+                        if found < MESH_SLOTS:
+                            normals[found] = n
+                            gaps[found] = gap
+                            owners[found] = w
+                            found += 1
+                        else:
+                            flags[scene, OVERFLOW] = 1
+                    elif gap < gaps[place]:
+                        normals[place] = n
+                        gaps[place] = gap
             histories = slots_matrix()
-            for s in range(found.count):
-                n = found.normals[s]
-                w = found.walls[s]
-                gap = found.gaps[s]
+            for s in range(found):
+                n = normals[s]
+                w = owners[s]
+                gap = gaps[s]
                 history = history_of(slots, i, analytic, w - wall_base, n)
                 touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
                 f, new_history, lost = contact_force(
@@ -240,10 +238,10 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
                 total_moment += wp.cross((radius + gap) * n, f)
                 add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
             for s in range(MESH_SLOTS):
-                if s < found.count:
-                    slots.wall[i, analytic + s] = found.walls[s] - wall_base
-                    slots.normal[i, analytic + s] = found.normals[s]
-                    slots.overlap[i, analytic + s] = -found.gaps[s]
+                if s < found:
+                    slots.wall[i, analytic + s] = owners[s] - wall_base
+                    slots.normal[i, analytic + s] = normals[s]
+                    slots.overlap[i, analytic + s] = -gaps[s]
                     slots.history[i, analytic + s] = histories[s]
                 else:
                     slots.wall[i, analytic + s] = -1

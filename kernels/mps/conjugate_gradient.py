@@ -36,7 +36,6 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     value = t.vec if vector else scalar
     structs = array_structs(scalar, dimensions)
     Solve = structs.VectorSolve if vector else structs.NumberSolve
-    Fields = structs.Fields
 
     @wp.func
     def inner(a: value, b: value) -> wp.float64:
@@ -76,7 +75,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
     Solve, value = f.Solve, f.value
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix = structs.Matrix
     product = row_product(scalar, value)
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
@@ -93,20 +92,19 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         first: wp.int32,
         end: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read (but for its flags)
-        particles: Particles,
-        lists: Lists,
-        fields: Fields,
+        # state, read
+        matrix: Matrix,
         # written
+        flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         for i in range(first, end):
-            z = f.divided(system.residual[i], fields.free[i], fields.diagonal[i], fields.drag[i])
+            z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.direction[i] = z
             rz += f.inner(system.residual[i], z)
             rr += f.inner(system.residual[i], system.residual[i])
@@ -125,10 +123,10 @@ def serial_solver(scalar, dimensions: int, vector: bool):
             pq = wp.float64(0.0)
             for i in range(first, end):
                 own = system.direction[i]
-                sum = fields.diagonal[i] * own - product(
-                    lists.near, fields.pair_coefficient, system.direction, i * lists.near_capacity, lists.near_count[i]
+                sum = matrix.diagonal[i] * own - product(
+                    matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity, matrix.near_count[i]
                 )
-                sum = f.bounded(sum, own, particles.position[i], fields.free[i], fields.drag[i])
+                sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
                 system.product[i] = sum
                 pq += f.inner(own, sum)
             system.partial[2 * parts + part] = pq
@@ -145,7 +143,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
                 x[i] = x[i] + alpha * system.direction[i]
                 left = system.residual[i] - alpha * system.product[i]
                 system.residual[i] = left
-                z = f.divided(left, fields.free[i], fields.diagonal[i], fields.drag[i])
+                z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
                 system.product[i] = z
                 rz_after += f.inner(left, z)
                 rr += f.inner(left, left)
@@ -170,11 +168,11 @@ def serial_solver(scalar, dimensions: int, vector: bool):
             system.outcome[BEFORE] = start
             system.outcome[AFTER] = wp.sqrt(rr)
             if not rr <= goal:
-                particles.flags[FAILED] = what
+                flags[FAILED] = what
         # Nobody may look at the flags before all have left the loop.
         meet(gate, parts)
-        if part == 0 and particles.flags[FAILED] != 0:
-            particles.flags[HALTED] = 1
+        if part == 0 and flags[FAILED] != 0:
+            flags[HALTED] = 1
         meet(gate, parts)
 
     return solve
@@ -187,15 +185,15 @@ def parallel_start(scalar, dimensions: int, vector: bool):
     Solve = f.Solve
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Fields = structs.Particles, structs.Fields
+    Matrix = structs.Matrix
 
     @wp.kernel(enable_backward=False, module="unique")
-    def begin(flow: Flow, blocks: wp.int32, fields: Fields, system: Solve):
+    def begin(flow: Flow, blocks: wp.int32, matrix: Matrix, system: Solve):
         i = wp.tid()
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if i < flow.count:
-            z = f.divided(system.residual[i], fields.free[i], fields.diagonal[i], fields.drag[i])
+            z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.direction[i] = z
             rz = f.inner(system.residual[i], z)
             rr = f.inner(system.residual[i], system.residual[i])
@@ -204,8 +202,9 @@ def parallel_start(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def ready(
-        blocks: wp.int32, tolerance: wp.float64, small_enough: wp.float64, particles: Particles, system: Solve
-    ):
+        blocks: wp.int32, tolerance: wp.float64, small_enough: wp.float64, flags: wp.array(dtype=wp.int32),
+        system: Solve,
+    ):  # fmt: skip
         i = wp.tid()
         rz = total(i, system.partial, 0, blocks)
         rr = total(i, system.partial, blocks, blocks)
@@ -214,7 +213,7 @@ def parallel_start(scalar, dimensions: int, vector: bool):
             system.numbers[0] = rz
             system.numbers[2] = goal
             system.going[0] = 0
-            if particles.flags[HALTED] == 0:
+            if flags[HALTED] == 0:
                 system.outcome[ITERATIONS] = wp.float64(0.0)
                 system.outcome[BEFORE] = wp.sqrt(rr)
                 system.outcome[AFTER] = wp.sqrt(rr)
@@ -234,31 +233,29 @@ def parallel_iteration(scalar, dimensions: int, vector: bool):
     Solve, value = f.Solve, f.value
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix = structs.Matrix
     place = row_place(False)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def multiply(
-        flow: Flow, blocks: wp.int32, particles: Particles, lists: Lists, fields: Fields, system: Solve
-    ):
+    def multiply(flow: Flow, blocks: wp.int32, matrix: Matrix, system: Solve):
         if system.going[0] == 0:
             return
         i = wp.tid()
         pq = wp.float64(0.0)
         if i < flow.count:
             own = system.direction[i]
-            sum = fields.diagonal[i] * own
-            for k in range(lists.near_count[i]):
-                at = place(i, k, flow.count, lists.near_capacity)
-                sum -= fields.pair_coefficient[at] * system.direction[lists.near[at]]
-            sum = f.bounded(sum, own, particles.position[i], fields.free[i], fields.drag[i])
+            sum = matrix.diagonal[i] * own
+            for k in range(matrix.near_count[i]):
+                at = place(i, k, flow.count, matrix.near_capacity)
+                sum -= matrix.coefficient[at] * system.direction[matrix.near[at]]
+            sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
             system.product[i] = sum
             pq = f.inner(own, sum)
         keep(i, system.partial, 2 * blocks, pq)
 
     @wp.kernel(enable_backward=False, module="unique")
     def update(
-        flow: Flow, blocks: wp.int32, now: wp.int32, fields: Fields, system: Solve, x: wp.array(dtype=value)
+        flow: Flow, blocks: wp.int32, now: wp.int32, matrix: Matrix, system: Solve, x: wp.array(dtype=value)
     ):
         if system.going[0] == 0:
             return
@@ -273,7 +270,7 @@ def parallel_iteration(scalar, dimensions: int, vector: bool):
             x[i] = x[i] + alpha * system.direction[i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
-            z = f.divided(left, fields.free[i], fields.diagonal[i], fields.drag[i])
+            z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.product[i] = z
             rz = f.inner(left, z)
             rr = f.inner(left, left)
@@ -287,7 +284,7 @@ def parallel_iteration(scalar, dimensions: int, vector: bool):
         now: wp.int32,
         what: wp.int32,
         maximum: wp.int32,
-        particles: Particles,
+        flags: wp.array(dtype=wp.int32),
         system: Solve,
     ):
         # The first block may end the loop while others set out: what they then leave out, nobody reads.
@@ -312,7 +309,7 @@ def parallel_iteration(scalar, dimensions: int, vector: bool):
                     system.going[0] = 0
                 elif not (rr > system.numbers[2]) or count >= maximum:
                     system.going[0] = 0
-                    particles.flags[FAILED] = what
-                    particles.flags[HALTED] = 1
+                    flags[FAILED] = what
+                    flags[HALTED] = 1
 
     return multiply, update, direct

@@ -47,7 +47,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
         # state, read
         points: wp.array(dtype=wp.vec3f),
         # written
-        particles: Particles,
+        flags: wp.array(dtype=wp.int32),
         lists: Lists,
     ):
         i = wp.tid()
@@ -78,7 +78,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:
-            wp.atomic_max(particles.flags, OVERFLOW, needed + 1)
+            wp.atomic_max(flags, OVERFLOW, needed + 1)
         lists.near_count[i] = wp.min(nears, lists.near_capacity)
         lists.far_count[i] = wp.min(fars, lists.far_capacity)
         lists.wall_count[i] = wp.min(walls, lists.wall_capacity)

@@ -29,12 +29,13 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written
         fields: Fields,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -79,11 +80,12 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read (but for what is late)
+        flags: wp.array(dtype=wp.int32),
         fields: Fields,
         # read and written
         particles: Particles,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):

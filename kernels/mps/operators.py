@@ -134,7 +134,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields, Solve = structs.Particles, structs.Lists, structs.Fields, structs.NumberSolve
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix, Solve = structs.Matrix, structs.NumberSolve
     moments = moments_function(scalar, dimensions, serial).moments
     rheology = rheology_functions(scalar, dimensions)
     rate_of, apparent_viscosity = rheology.rate_of, rheology.apparent
@@ -147,13 +148,15 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written; of the shift of particles, the residual is the density's error
         fields: Fields,
+        matrix: Matrix,
         shifting: Solve,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -169,7 +172,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             beneath = scalar(wp.static(BENEATH[dimensions])) * flow.lattice_number * flow.spacing
             if m.whole_number < scalar(FREE) * flow.lattice_number and m.above < -beneath:
                 surface = wp.int32(1)
-            fields.free[i] = surface
+            matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
             # The least-squares line through the neighbours' pressures filters modes that gradients do not see.
@@ -238,7 +241,8 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields, Solve = structs.Particles, structs.Lists, structs.Fields, structs.VectorSolve
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix, Solve = structs.Matrix, structs.VectorSolve
     wall_force = wall_law_function(scalar, dimensions)
     place = row_place(serial)
     last = dimensions - 1
@@ -251,13 +255,15 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written
         fields: Fields,
+        matrix: Matrix,
         viscous: Solve,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -278,7 +284,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 other = fields.viscosity[j]
                 laplacian = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
-                fields.pair_coefficient[at] = c
+                matrix.coefficient[at] = c
                 total += c
                 force += c * (particles.velocity[j] - v)
                 slope += f.slope_of_pair(weight, particles.position[j] - x, fields.predicted[j] - p)
@@ -290,9 +296,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             if fields.wall_weight[i] > scalar(0.0):
                 area = fields.wall_weight[i] * scalar(fields.wall_scale[0])
                 force, resist, stress = wall_force(flow, x, v, area, fields.compliance[i], force)
-            fields.drag[i] = resist
+            matrix.drag[i] = resist
             fields.traction[i] = stress
-            fields.diagonal[i] = rho / flow.dt + total
+            matrix.diagonal[i] = rho / flow.dt + total
             viscous.residual[i] = force
 
     return momentum
@@ -305,7 +311,8 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields, Solve = structs.Particles, structs.Lists, structs.Fields, structs.NumberSolve
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix, Solve = structs.Matrix, structs.NumberSolve
     place = row_place(serial)
     last = dimensions - 1
 
@@ -330,13 +337,15 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written
         fields: Fields,
+        matrix: Matrix,
         projection: Solve,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -353,7 +362,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 c = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 if wp.static(two_phase):
                     c *= scalar(2.0) * flow.density / (particles.density[i] + particles.density[j])
-                fields.pair_coefficient[at] = c
+                matrix.coefficient[at] = c
                 total += c
                 d = particles.position[j] - x
                 change += wp.outer((weight * wp.length_sq(d)) * (particles.velocity[j] - v), d)
@@ -368,9 +377,9 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                     jump = jump_behind(flow, v, n, inside, beneath, y)
                     change += wp.outer(f.weight(r, flow.cutoff) * jump, d)
             sum_of_slopes = wp.trace(change * fields.whole_inverse[i])
-            fields.diagonal[i] = total
+            matrix.diagonal[i] = total
             projection.residual[i] = -flow.density / flow.dt * sum_of_slopes
-            if fields.free[i] != 0:
+            if matrix.free[i] != 0:
                 projection.residual[i] = scalar(0.0)
 
     return divergence
@@ -394,12 +403,13 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
         # read and written
         particles: Particles,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):

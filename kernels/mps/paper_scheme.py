@@ -36,12 +36,13 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written
         fields: Fields,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -66,7 +67,8 @@ def source_kernel(scalar, dimensions: int, serial: bool):
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields, Solve = structs.Particles, structs.Lists, structs.Fields, structs.NumberSolve
+    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Matrix, Solve = structs.Matrix, structs.NumberSolve
     place = row_place(serial)
     last = dimensions - 1
 
@@ -78,13 +80,15 @@ def source_kernel(scalar, dimensions: int, serial: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
         # written
         fields: Fields,
+        matrix: Matrix,
         projection: Solve,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
@@ -95,7 +99,7 @@ def source_kernel(scalar, dimensions: int, serial: bool):
             for k in range(lists.near_count[i]):
                 at = place(i, k, flow.count, lists.near_capacity)
                 j = lists.near[at]
-                fields.pair_coefficient[at] = fields.pair_weight[at]
+                matrix.coefficient[at] = fields.pair_weight[at]
                 total += fields.pair_weight[at]
                 d = particles.position[j] - x
                 r = f.distance(flow, d)
@@ -113,10 +117,10 @@ def source_kernel(scalar, dimensions: int, serial: bool):
                     if y[last] < scalar(0.0):
                         jump[last] = jump[last] - (v[last] - flow.piston_speed)
                     rate -= flow.cutoff / (r * r * r) * wp.dot(d, jump)
-            fields.diagonal[i] = total
+            matrix.diagonal[i] = total
             fields.increment[i] = scalar(0.0)
             projection.residual[i] = flow.density / flow.dt * rate / flow.lattice_number
-            if fields.free[i] != 0:
+            if matrix.free[i] != 0:
                 projection.residual[i] = scalar(0.0)
 
     return source
@@ -140,12 +144,13 @@ def projection_kernel(scalar, dimensions: int, serial: bool):
         first: wp.int32,
         end: wp.int32,
         # state, read
+        flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
         # read and written
         particles: Particles,
     ):
-        if particles.flags[HALTED] != 0:
+        if flags[HALTED] != 0:
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):

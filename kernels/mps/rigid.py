@@ -74,8 +74,10 @@ def velocities_kernel(scalar, dimensions: int):
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def velocities(flow: Flow, particles: Particles, fields: Fields, grains: Grains):
-        if particles.flags[HALTED] != 0:
+    def velocities(
+        flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, fields: Fields, grains: Grains
+    ):
+        if flags[HALTED] != 0:
             return
         g = wp.tid()
         begin = grains.first[g]
@@ -130,8 +132,8 @@ def places_kernel(scalar, dimensions: int):
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def places(flow: Flow, particles: Particles, grains: Grains):
-        if particles.flags[HALTED] != 0:
+    def places(flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, grains: Grains):
+        if flags[HALTED] != 0:
             return
         g = wp.tid()
         grains.turn[g] = turned(grains.turn[g], flow.dt * grains.spin[g])

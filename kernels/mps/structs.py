@@ -59,7 +59,7 @@ def flow_struct(scalar):
 
 @functools.cache
 def array_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Structs `Particles`, `Lists`, `Fields`, `Grains`, and `Solve` of vectors and of numbers."""
+    """Structs `Particles`, `Lists`, `Fields`, `Matrix`, `Grains`, and `Solve` of vectors and of numbers."""
     t = mps_types(scalar, dimensions)
     vec3 = wp.vec3d if scalar is wp.float64 else wp.vec3f
 
@@ -71,7 +71,6 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         pressure: wp.array(dtype=scalar)  # [Pa]
         density: wp.array(dtype=scalar)  # of two phases [kg/m3]; one phase has no rows
         group: wp.array(dtype=wp.int32)  # grain of coarse aggregate, -1 for mortar; one phase has no rows
-        flags: wp.array(dtype=wp.int32)  # slots of `common.control`, shape (FLAGS,)
 
     @wp.struct
     class Lists:
@@ -89,24 +88,31 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Fields:
         pair_weight: wp.array(dtype=scalar)  # of an entry of `near`, over the distance squared [1/m2]
-        pair_coefficient: wp.array(dtype=scalar)  # of it in the equations that are solved
         fluid_inverse: wp.array(dtype=t.mat)  # of the moment matrix of fluid neighbours [1/m2], shape (n,) as the rest
         whole_inverse: wp.array(dtype=t.mat)  # of that of all neighbours [1/m2]
         inverse_number: wp.array(dtype=scalar)  # factor of the Laplacian
-        free: wp.array(dtype=wp.int32)  # 1 at the free surface
         wall_weight: wp.array(dtype=scalar)  # area of wall that a particle stands for over its volume, unscaled [1/m]
         wall_scale: wp.array(dtype=wp.float64)  # factor that makes all these areas that of the wall, shape (1,)
         viscosity: wp.array(dtype=scalar)  # apparent [Pa s]
         compliance: wp.array(dtype=scalar)  # velocity from wall to particle over the wall's stress [m/s/Pa]
         predicted: wp.array(dtype=scalar)  # filtered pressure of the step before [Pa]
-        diagonal: wp.array(dtype=scalar)  # of the equations that are solved
-        drag: wp.array(dtype=scalar)  # resistance of the wall to motion along it [kg/m3/s]
         traction: wp.array(dtype=scalar)  # the wall's stress [Pa]
         increment: wp.array(dtype=scalar)  # of the pressure in this step [Pa]
         potential: wp.array(dtype=scalar)  # whose slope moves particles off crowds [m2]
         moved: wp.array(dtype=t.vec)  # displacement of this step besides that by velocity [m]
         built: wp.array(dtype=t.vec)  # position when the lists were built [m]
         late: wp.array(dtype=wp.int32)  # 1 if a particle outgrew the lists, 1 if one is lost, shape (2,)
+
+    @wp.struct
+    class Matrix:
+        near_capacity: wp.int32  # as that of the lists, and so the next two
+        near_count: wp.array(dtype=wp.int32)
+        near: wp.array(dtype=wp.int32)
+        coefficient: wp.array(dtype=scalar)  # of an entry of `near`
+        diagonal: wp.array(dtype=scalar)  # shape (n,) as the rest
+        drag: wp.array(dtype=scalar)  # resistance of the wall to motion along it [kg/m3/s]
+        free: wp.array(dtype=wp.int32)  # 1 at the free surface, whose pressure is none
+        position: wp.array(dtype=t.vec)  # as that of the particles [m]
 
     @wp.struct
     class Grains:
@@ -133,8 +139,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         return Solve
 
     return SimpleNamespace(
-        Particles=Particles, Lists=Lists, Fields=Fields, Grains=Grains, VectorSolve=solve_struct(t.vec),
-        NumberSolve=solve_struct(scalar),
+        Particles=Particles, Lists=Lists, Fields=Fields, Matrix=Matrix, Grains=Grains,
+        VectorSolve=solve_struct(t.vec), NumberSolve=solve_struct(scalar),
     )  # fmt: skip
 
 

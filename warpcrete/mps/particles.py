@@ -38,12 +38,16 @@ class MovingParticles:
     Its arrays, with meaning, unit and shape, are those of the structs in `kernels/mps/structs.py`.
     """
 
+    flags: wp.array
+    """The state's."""
     particles: Any
     """The state's struct `Particles`."""
     lists: Any
     """Neighbours, a struct `Lists`."""
     fields: Any
     """Working arrays of a step, a struct `Fields`."""
+    matrix: Any
+    """Of the equations that are solved, a struct `Matrix`."""
     viscous: Any
     """System of the velocities, a struct `Solve` of vectors."""
     projection: Any
@@ -59,10 +63,11 @@ class MovingParticles:
         self.count = state.count
         self.threads = 1 if self.parallel else max(1, min(threads or default_threads(), self.count // 256))
         self._launcher = Launcher(self.threads, self.device)
-        self.particles, self.grains = state.particles, state.grain_arrays
+        self.flags, self.particles, self.grains = state.flags, state.particles, state.grain_arrays
         self.blocks = -(-self.count // BLOCK)
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=self.device)
         self.fields = self._fields()
+        self.matrix = self._matrix()
         self.viscous = self._solve(self.structs.VectorSolve)
         self.projection = self._solve(self.structs.NumberSolve)
         self.shifting = self._solve(self.structs.NumberSolve)
@@ -93,10 +98,19 @@ class MovingParticles:
         """Working arrays, but for those that go with the lists."""
         struct = self.structs.Fields
         fields = struct()
-        sizes = {"wall_scale": 1, "late": 2, "pair_weight": 0, "pair_coefficient": 0}
+        sizes = {"wall_scale": 1, "late": 2, "pair_weight": 0}
         for name in struct.vars:
             setattr(fields, name, self._array(struct, name, sizes.get(name, self.count)))
         return fields
+
+    def _matrix(self) -> Any:
+        """Coefficients of the equations that are solved, but for what goes with the lists."""
+        struct = self.structs.Matrix
+        matrix = struct()
+        for name in ("diagonal", "drag", "free"):
+            setattr(matrix, name, self._array(struct, name, self.count))
+        matrix.position = self.particles.position
+        return matrix
 
     def _solve(self, struct: Any) -> Any:
         """Working arrays of one system of equations."""
@@ -134,8 +148,10 @@ class MovingParticles:
             setattr(self.lists, f"{name}_capacity", capacity)
             setattr(self.lists, f"{name}_count", self._array(self.structs.Lists, f"{name}_count", n))
             setattr(self.lists, name, self._array(self.structs.Lists, name, n * capacity))
-        for name in ("pair_weight", "pair_coefficient"):
-            setattr(self.fields, name, self._array(self.structs.Fields, name, n * near))
+        self.fields.pair_weight = self._array(self.structs.Fields, "pair_weight", n * near)
+        self.matrix.coefficient = self._array(self.structs.Matrix, "coefficient", n * near)
+        for name in ("near_capacity", "near_count", "near"):
+            setattr(self.matrix, name, getattr(self.lists, name))
         self._launcher.invalidate_graphs()
         self._step = None
 
@@ -162,13 +178,13 @@ class MovingParticles:
         while True:
             launch(
                 search, self.count, self.device, flow=self.flow, near_reach=near_reach, whole_reach=whole_reach,
-                grid=self.grid.id, points=self.points, particles=self.particles, lists=self.lists,
+                grid=self.grid.id, points=self.points, flags=self.flags, lists=self.lists,
             )  # fmt: skip
-            flags = self.particles.flags.numpy()
+            flags = self.flags.numpy()
             over = int(flags[int(OVERFLOW)])
             flags[int(OVERFLOW)] = flags[int(STALE)] = 0
             flags[int(HALTED)] = int(flags[int(FAILED)] != 0)
-            self.particles.flags.assign(flags)
+            self.flags.assign(flags)
             if over == 0:
                 break
             self._room *= max(1.25, 1.1 * over / 1000)
@@ -199,8 +215,8 @@ class MovingParticles:
             count = goal - self.steps
             largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
             sizes = graph_sizes(min(count, LAUNCH * largest), largest)
-            self._launcher.replay(self.step, sizes, lambda: bool(self.particles.flags.numpy()[int(HALTED)]))
-            flags = self.particles.flags.numpy()
+            self._launcher.replay(self.step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+            flags = self.flags.numpy()
             self.steps = int(flags[int(STEPS)])
             self.time = self.steps * self.scene.time_step
             if flags[int(FAILED)]:

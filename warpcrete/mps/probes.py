@@ -104,7 +104,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
     residual = force - state.mass * scene.gravity - drag - change
-    surface = snap.height[fields.free.numpy() != 0] if flow.steps else np.array([layout.height - 0.5 * layout.spacing])
+    surface = snap.height[flow.matrix.free.numpy() != 0] if flow.steps else np.array([layout.height - 0.5 * layout.spacing])
     row = {
         "time": flow.time,
         "travel": scene.velocity * flow.time,

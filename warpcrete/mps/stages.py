@@ -143,7 +143,7 @@ class _Part:
         return [*before, *advance, *after]
 
     def finish(self) -> list[Any]:
-        return self.alone(finish, flags=self.p.particles.flags, late=self.p.fields.late)
+        return self.alone(finish, late=self.p.fields.late)
 
     def printed_weights(self) -> list[Any]:
         """Of the scheme as the paper prints it."""

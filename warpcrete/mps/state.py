@@ -30,6 +30,8 @@ class FluidState:
     `kernels/mps/structs.py`; they have a row for each fluid particle, in an order that never changes.
     """
 
+    flags: wp.array
+    """Slots of `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
     """A struct `Particles`."""
     grain_arrays: Any
@@ -59,8 +61,8 @@ class FluidState:
             pressure=scene.concrete.density * scene.gravity * (surface - fluid[:, -1]),
             density=density,
             group=group,
-            flags=FLAGS,
         )
+        self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         self.grain_arrays = self._place_grains(fluid) if self.grains is not None else None
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
@@ -102,6 +104,7 @@ class FluidState:
     def state_dict(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on, lists apart."""
         found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
+        found["flags"] = self.flags.numpy()
         if self.grain_arrays is not None:
             found |= {f"grain_{name}": getattr(self.grain_arrays, name).numpy() for name in GRAIN_ARRAYS}
         return found
@@ -110,11 +113,12 @@ class FluidState:
         """Go on from a `state_dict`."""
         for name in PARTICLE_ARRAYS:
             getattr(self.particles, name).assign(found[name])
+        self.flags.assign(found["flags"])
         for name in GRAIN_ARRAYS if self.grain_arrays is not None else ():
             getattr(self.grain_arrays, name).assign(found[f"grain_{name}"])
 
 
-PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure", "flags")
+PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure")
 GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 """What the next step depends on, of particles and of grains."""
 
