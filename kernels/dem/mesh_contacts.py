@@ -28,7 +28,6 @@ MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those o
 def minimum_function(scalar):
     """`is_local_minimum`: whether a closest point is one of the distance to the whole surface, too."""
     t = types(scalar)
-    Surfaces = array_structs(scalar).Surfaces
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
@@ -38,30 +37,38 @@ def minimum_function(scalar):
 
     @wp.func
     def is_local_minimum(
-        feature: wp.int32, face: wp.int32, first_face: wp.int32, offset: t.vec3, surfaces: Surfaces
+        feature: wp.int32,
+        face: wp.int32,
+        first_face: wp.int32,
+        offset: t.vec3,
+        corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32),
+        across: wp.array2d(dtype=wp.int32),
+        ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32),
     ):
         """`offset` points from the closest point to the centre. Ties between faces go to the lowest face."""
         if feature == 0:
             return True
         if feature < 4:
             edge = feature - 1
-            across = surfaces.across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
-            if across < 0:
+            beyond = across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
+            if beyond < 0:
                 return True  # a border edge
-            if surfaces.across[face, edge + 3] < face:
+            if across[face, edge + 3] < face:
                 return False  # the neighbour reports this edge
-            a = surfaces.corners[surfaces.faces[face, edge]]
-            along = surfaces.corners[surfaces.faces[face, (edge + 1) % 3]] - a
-            inward = surfaces.corners[across] - a
+            a = corners[faces[face, edge]]
+            along = corners[faces[face, (edge + 1) % 3]] - a
+            inward = corners[beyond] - a
             inward = inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
             return not falls_towards(inward, offset)
-        corner = surfaces.faces[face, feature - 4]
-        a = surfaces.corners[corner]
-        lowest = surfaces.ring[surfaces.ring_start[corner]]
+        corner = faces[face, feature - 4]
+        a = corners[corner]
+        lowest = ring[ring_start[corner]]
         if lowest != face - first_face:
             return False  # the lowest face of the ring reports this corner
-        for k in range(surfaces.ring_start[corner] + 1, surfaces.ring_start[corner + 1]):
-            if falls_towards(surfaces.corners[surfaces.ring[k]] - a, offset):
+        for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
+            if falls_towards(corners[ring[k]] - a, offset):
                 return False
         return True
 
@@ -73,7 +80,7 @@ def face_function(scalar):
     """`touch_of_face`: whether a sphere touches a surface on one of its faces, the normal into the wall, and the gap."""
     t = types(scalar)
     structs = array_structs(scalar)
-    Slots, Walls, Surfaces = structs.Slots, structs.Walls, structs.Surfaces
+    Slots, Walls = structs.Slots, structs.Walls
     is_local_minimum = minimum_function(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
     safe_normalize = vector_functions(scalar).safe_normalize
@@ -98,25 +105,32 @@ def face_function(scalar):
         analytic: wp.int32,
         x: t.vec3,
         radius: scalar,
+        corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32),
+        across: wp.array2d(dtype=wp.int32),
+        ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32),
         slots: Slots,
         walls: Walls,
-        surfaces: Surfaces,
     ):
         n = t.vec3()
         gap = scalar(0.0)
         touches = wp.bool(False)
-        local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
-        a = surfaces.corners[surfaces.faces[face, 0]]
-        b = surfaces.corners[surfaces.faces[face, 1]]
-        c = surfaces.corners[surfaces.faces[face, 2]]
-        point, feature = closest_on_triangle(local, a, b, c)
+        orientation = walls.orientation[w]
+        local = wp.quat_rotate_inv(orientation, x - walls.position[w])
+        point, feature = closest_on_triangle(
+            local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+        )
         offset = local - point
         distance = wp.length(offset)
         if distance < radius:
-            if is_local_minimum(feature, face, walls.table[w].first_face, offset, surfaces):
+            first_face = walls.table[w].first_face
+            if is_local_minimum(feature, face, first_face, offset, corners, faces, across, ring_start, ring):
                 touches = wp.bool(True)
-                n = -safe_normalize(offset, -wp.normalize(wp.cross(b - a, c - a)))
-                n = wp.quat_rotate(walls.orientation[w], n)
+                a = corners[faces[face, 0]]
+                plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
+                n = -safe_normalize(offset, -wp.normalize(plain))
+                n = wp.quat_rotate(orientation, n)
                 gap = distance - radius
                 # A centre pushed through the surface: the side it touched before is the inside.
                 if side_before(slots, i, analytic, w - first_wall, n) < scalar(-0.7):
@@ -132,8 +146,8 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Candidates, Walls, Surfaces = (
-        structs.Scenes, structs.Spheres, structs.Slots, structs.Candidates, structs.Walls, structs.Surfaces
+    Scenes, Spheres, Slots, Candidates, Walls = (
+        structs.Scenes, structs.Spheres, structs.Slots, structs.Candidates, structs.Walls
     )  # fmt: skip
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
@@ -146,24 +160,16 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
     slots_vector = wp.types.vector(MESH_SLOTS, scalar)
     slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
 
-    @wp.func
-    def history_of(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
-        """History belongs to the old contact on this wall with the nearest normal."""
-        history = t.vec3()
-        best = scalar(wp.static(MERGE_COSINE))
-        for o in range(MESH_SLOTS):
-            if slots.wall[i, analytic + o] == wall:
-                c = wp.dot(slots.normal[i, analytic + o], n)
-                if c > best:
-                    best = c
-                    history = slots.history[i, analytic + o]
-        return history
-
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # model
         wall_parameters: wp.array(dtype=Parameters),
-        surfaces: Surfaces,
+        corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32),
+        across: wp.array2d(dtype=wp.int32),
+        ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32),
+        face_wall: wp.array(dtype=wp.int32),
         # chunk
         first: wp.int32,
         last: wp.int32,
@@ -190,8 +196,9 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
             scale = scenes.clock[scene, FORCE_SCALE]
             wall_base = scenes.row[scene].walls
             analytic = scenes.row[scene].analytic
-            x = xyz(spheres.position[i])
-            radius = spheres.position[i][3]
+            position = spheres.position[i]
+            x = xyz(position)
+            radius = position[3]
             velocity = spheres.velocity[i]
             row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
             total_force = t.vec3()
@@ -204,8 +211,10 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
             owners = slots_index()
             for k in range(begin, end):
                 face = candidates.face[k]
-                w = surfaces.wall[face]
-                touches, n, gap = touch_of_face(i, face, w, wall_base, analytic, x, radius, slots, walls, surfaces)
+                w = face_wall[face]
+                touches, n, gap = touch_of_face(
+                    i, face, w, wall_base, analytic, x, radius, corners, faces, across, ring_start, ring, slots, walls
+                )
                 if touches:
                     place = wp.int32(-1)
                     for s in range(found):
@@ -226,8 +235,16 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
+                # History belongs to the old contact on this wall with the nearest normal.
+                history = t.vec3()
+                best = scalar(wp.static(MERGE_COSINE))
+                for o in range(MESH_SLOTS):
+                    if slots.wall[i, analytic + o] == w - wall_base:
+                        c = wp.dot(slots.normal[i, analytic + o], n)
+                        if c > best:
+                            best = c
+                            history = slots.history[i, analytic + o]
                 gap = gaps[s]
-                history = history_of(slots, i, analytic, w - wall_base, n)
                 touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
                 f, new_history, lost = contact_force(
                     wall_parameters[row + walls.table[w].material], touch, history, dt
@@ -256,10 +273,9 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
 @functools.cache
 def candidate_kernels(scalar):
     """Count and fill kernels of the faces within reach of each sphere (reach: radius plus mesh skin)."""
+    t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Spheres, Candidates, Walls, Surfaces = (
-        structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls, structs.Surfaces
-    )  # fmt: skip
+    Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
     xyz = vector_functions(scalar).xyz
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
 
@@ -267,7 +283,8 @@ def candidate_kernels(scalar):
         @wp.kernel(module="unique", enable_backward=False)
         def find_candidates(
             # model
-            surfaces: Surfaces,
+            corners: wp.array(dtype=t.vec3),
+            faces: wp.array2d(dtype=wp.int32),
             # state, read
             flags: wp.array2d(dtype=wp.int32),
             scenes: Scenes,
@@ -297,10 +314,7 @@ def candidate_kernels(scalar):
                 while wp.mesh_query_aabb_next(query, local_face):
                     face = walls.table[w].first_face + local_face
                     point, feature = closest_on_triangle(
-                        local,
-                        surfaces.corners[surfaces.faces[face, 0]],
-                        surfaces.corners[surfaces.faces[face, 1]],
-                        surfaces.corners[surfaces.faces[face, 2]],
+                        local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
                     )
                     if wp.length(local - point) <= reach:
                         if wp.static(fill):

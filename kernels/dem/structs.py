@@ -70,7 +70,7 @@ def scene_struct(scalar):
 
 @functools.cache
 def array_structs(scalar) -> SimpleNamespace:
-    """Structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates`, `Walls` and `Surfaces`."""
+    """Structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`."""
     t = types(scalar)
     SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
@@ -160,16 +160,6 @@ def array_structs(scalar) -> SimpleNamespace:
         moved: wp.array(dtype=wp.float64)  # meshes: way that a corner may have gone since the lists were built [m]
         step_force: wp.array3d(dtype=wp.int64)  # force and moment of this step in fixed point, (threads, walls, 6)
 
-    @wp.struct
-    class Surfaces:
-        corners: wp.array(dtype=t.vec3)  # of all meshes, each in its wall's frame [m], shape (corners,)
-        faces: wp.array2d(dtype=wp.int32)  # their corners, shape (faces, 3)
-        across: wp.array2d(dtype=wp.int32)  # far corner beyond each edge, then the face there; -1 at borders, (faces, 6)
-        ring_start: wp.array(dtype=wp.int32)  # of each corner's row in `ring`, and the end, shape (corners + 1,)
-        ring: wp.array(dtype=wp.int32)  # lowest face at a corner, then the corners it shares an edge with
-        wall: wp.array(dtype=wp.int32)  # that a face belongs to, shape (faces,)
-
     return SimpleNamespace(
         Scenes=Scenes, Bodies=Bodies, Spheres=Spheres, Slots=Slots, Pairs=Pairs, Candidates=Candidates, Walls=Walls,
-        Surfaces=Surfaces,
     )  # fmt: skip

@@ -19,6 +19,7 @@ from ..core.launching import Launcher, Size, Stage, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
+from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.structs import array_structs, scene_struct
@@ -53,8 +54,18 @@ class Batch:
     pairs: Any
     candidates: Any
     walls: Any
-    surfaces: Any
-    """Triangles of all mesh walls, a struct `Surfaces`."""
+    corners: wp.array
+    """Of all meshes, each in its wall's frame [m], shape (corners,)."""
+    faces: wp.array
+    """Corners of each triangle, shape (faces, 3)."""
+    across: wp.array
+    """Far corner beyond each edge of a triangle, then the triangle there; -1 at borders, shape (faces, 6)."""
+    ring_start: wp.array
+    """First entry of each corner's row in `ring`, and the end, shape (corners + 1,)."""
+    ring: wp.array
+    """For each corner the lowest triangle there, then the corners with which it shares an edge."""
+    face_wall: wp.array
+    """Wall that a triangle belongs to, shape (faces,)."""
     pair_parameters: wp.array
     """Of all scenes, as those of a :class:`Model`, this and the next six."""
     wall_parameters: wp.array
@@ -176,13 +187,12 @@ class Batch:
         self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
         self.walls.rest_position = self._chained([m.rest_position for m in models])
         self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
-        self.surfaces = self.structs.Surfaces()
-        self.surfaces.corners = self._array(surfaces.corners(), self.structs.Surfaces.vars["corners"].type.dtype)
-        self.surfaces.faces = self._array(surfaces.faces(), wp.int32, 2)
-        self.surfaces.across = self._array(surfaces.across(), wp.int32, 2)
-        self.surfaces.ring_start = self._array(surfaces.ring_start(), wp.int32)
-        self.surfaces.ring = self._array(surfaces.ring(), wp.int32)
-        self.surfaces.wall = self._array(surfaces.owner(), wp.int32)
+        self.corners = self._array(surfaces.corners(), types(self.scalar).vec3)
+        self.faces = self._array(surfaces.faces(), wp.int32, 2)
+        self.across = self._array(surfaces.across(), wp.int32, 2)
+        self.ring_start = self._array(surfaces.ring_start(), wp.int32)
+        self.ring = self._array(surfaces.ring(), wp.int32)
+        self.face_wall = self._array(surfaces.owner(), wp.int32)
 
     def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
         """Numbers of a scene's row that never change."""
