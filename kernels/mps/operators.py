@@ -75,6 +75,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         slope: t.vec  # of the fluid's pressure differences with distances
         rise: scalar  # sum of those
         wall: scalar  # what the wall would exchange with the particle over its stress
+        inside: scalar  # distance from the wall [m]
 
     @wp.func
     def moments(i: wp.int32, flow: Flow, particles: Particles, lists: Lists, fields: Fields):
@@ -107,7 +108,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         m.whole_number = m.number
         m.whole = m.fluid
         m.above = m.first[last]
-        s = flow.radius - wp.length(f.across(x))
+        m.inside = flow.radius - wp.length(f.across(x))
         for k in range(lists.wall_count[i]):
             y = lists.wall_position[lists.wall[place(i, k, flow.count, lists.wall_capacity)]]
             d = y - x
@@ -122,7 +123,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
                     # Velocity behind the wall continues the slope at the wall: what the pair would exchange is the
                     # wall's stress times this.
-                    m.wall = m.wall + w / (r * r) * wp.max(s + beyond, scalar(0.0))
+                    m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
     return SimpleNamespace(Moments=Moments, moments=moments)
@@ -196,8 +197,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             fields.viscosity[i] = apparent
             # Velocity from the wall to here over the wall's stress: stress falls in a straight line towards the axis,
             # and the rate of shear with it, from what the tangent gives at the wall to what it is here.
-            s = flow.radius - wp.length(f.across(particles.position[i]))
-            near_wall = wp.clamp(s, scalar(1.0e-3) * flow.spacing, flow.radius)
+            near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)
             bend = near_wall / flow.radius
             fields.compliance[i] = near_wall * ((scalar(1.0) - bend) / apparent + scalar(0.5) * bend / tangent)
 
@@ -316,19 +316,6 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     place = row_place(serial)
     last = dimensions - 1
 
-    @wp.func
-    def jump_behind(flow: Flow, v: t.vec, n: t.vec, inside: scalar, beneath: scalar, y: t.vec) -> t.vec:
-        """Velocity at a wall's particle `y` less the particle's own: towards the wall it goes on in a straight line
-        through its value there. The particle is `inside` from the pipe's wall, along `n`, and `beneath` it the piston.
-        """
-        jump = t.vec()
-        beyond = wp.length(f.across(y)) - flow.radius
-        if beyond > scalar(0.0):
-            jump -= (wp.dot(v, n) * (inside + beyond) / inside) * n
-        if y[last] < scalar(0.0):
-            jump[last] = jump[last] - (v[last] - flow.piston_speed) * (beneath - y[last]) / beneath
-        return jump
-
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
         # model
@@ -366,15 +353,21 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 total += c
                 d = particles.position[j] - x
                 change += wp.outer((weight * wp.length_sq(d)) * (particles.velocity[j] - v), d)
-            n = f.outward(x)
-            inside = wp.max(flow.radius - wp.length(f.across(x)), scalar(0.5) * flow.spacing)
             beneath = wp.max(x[last], scalar(0.5) * flow.spacing)
+            inside = wp.max(flow.radius - wp.length(f.across(x)), scalar(0.5) * flow.spacing)
+            n = f.outward(x)
             for k in range(lists.wall_count[i]):
                 y = lists.wall_position[lists.wall[place(i, k, flow.count, lists.wall_capacity)]]
                 d = y - x
                 r = f.distance(flow, d)
                 if r < flow.cutoff:
-                    jump = jump_behind(flow, v, n, inside, beneath, y)
+                    # Behind a wall the velocity towards it goes on in a straight line through its value there.
+                    jump = t.vec()
+                    beyond = wp.length(f.across(y)) - flow.radius
+                    if beyond > scalar(0.0):
+                        jump -= (wp.dot(v, n) * (inside + beyond) / inside) * n
+                    if y[last] < scalar(0.0):
+                        jump[last] = jump[last] - (v[last] - flow.piston_speed) * (beneath - y[last]) / beneath
                     change += wp.outer(f.weight(r, flow.cutoff) * jump, d)
             sum_of_slopes = wp.trace(change * fields.whole_inverse[i])
             matrix.diagonal[i] = total
