@@ -1,30 +1,42 @@
-"""The main job of the command line: a scene, recorders, a run folder, a report; and going on after a cut."""
+"""`warpcrete run`: a scene, its recorders, a run folder, a report; and going on after a cut."""
 
 from __future__ import annotations
 
-import inspect
-import signal
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..core.errors import RunFolderError, between, one_of, positive, refuse
+from ..core.device import default_threads
+from ..core.errors import RunFolderError, between, positive, refuse
+from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.interrupts import StopAtSample
+from ..core.method import report_of
+from ..core.parameters import declared_fields
+from ..core.progress import ProgressBar
+from ..core.run_loop import Run
+from ..core.units import number
+from ..methods import Simulation, method_of
+from ..record.recorders import RECORDERS, Look, recorders_of
+from ..studies.checks import Checks, checked, failed_checks
+from ..studies.pipeline import check_pipeline, pipeline_estimate
 
-KEPT = ("frames", "colour", "network", "rerun", "usd", "pipeline_vertical", "pipeline_horizontal", "pipeline_other",
-        "checkpoint_every", "threads")  # fmt: skip
+KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
+        "pipeline_other", "checkpoint_every", "threads")  # fmt: skip
+"""Settings that scene.json keeps for a resumed run."""
+CHECK_FAILED = 3
+"""Exit code of a finished run that one of the scene's checks does not accept."""
+INTERRUPTED = 130
 
 
 def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Contents of a scene.json, and the module of its scene."""
-    from ..record.run_folder import read_json
-
     record = read_json(path)
     if record.get("scene") not in modules or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(modules)})")
     module = modules[record["scene"]]
-    known = inspect.signature(module.scene).parameters
-    unknown = sorted(set(record["parameters"]) - set(known))
+    unknown = sorted(set(module.scene.resolved(record["parameters"])) - set(declared_fields(module.scene.parameters)))
     if unknown:
         raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
     return record, module
@@ -32,9 +44,6 @@ def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], An
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:
     """Go on with an interrupted run, in its folder; `live` shows it from here on."""
-    from ..core.device import default_threads
-    from ..record.run_folder import read_json
-
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
     record, module = saved_scene(folder / "scene.json", modules)
@@ -50,166 +59,130 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
     if set(settings) != set(KEPT):
         raise RunFolderError(f"'{folder / 'scene.json'}': does not say how the run was recorded; it cannot be resumed")
     settings["threads"] = min(settings["threads"], default_threads())
-    if settings["pipeline_other"] is not None:
-        settings["pipeline_other"] = Path(settings["pipeline_other"])
+    kept = {"device": record.get("device"), "precision": record.get("precision", "float32")}
     run(
-        record["scene"], module, record["parameters"], out=folder, device=record.get("device"),
-        precision=record.get("precision", "float32"), live=live, quiet=quiet, going_on=True, **settings,
+        record["scene"], module, record["parameters"], settings | kept | {"out": folder, "live": live, "quiet": quiet},
+        going_on=True,
     )  # fmt: skip
 
 
-def run(name: str, module, parameters: dict[str, Any], *, out, device, precision, live, frames, colour, network, rerun,
-        usd, pipeline_vertical, pipeline_horizontal, pipeline_other, checkpoint_every, threads, quiet,
-        going_on: bool = False) -> None:  # fmt: skip
-    """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there."""
-    from ..mps.scene import FluidScene
-    from ..mps.simulation import FluidSimulation
-    from ..core.device import default_threads
-    from ..studies.pipeline import pipeline_estimate
-    from ..core.progress import ProgressBar
-    from ..core.provenance import write_json
-    from ..record.recorders import recorder_types
-    from ..record.run_folder import TableRecorder, check_new, next_folder, read_json
-    from ..dem.simulation import Simulation
+def run(
+    name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
+) -> None:
+    """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there.
 
-    folder = out if out is not None else next_folder(name)
+    `settings` are the values of :func:`warpcrete.cli.options.run_options` by name.
+    """
+    folder = settings["out"] if settings["out"] is not None else next_folder(name)
     if not going_on:
         check_new(folder)
+    frames, every = settings["frames"], settings["checkpoint_every"]
     positive("frames", frames, "1/s")
-    between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
-    for field, value in (("pipeline_vertical", pipeline_vertical), ("pipeline_horizontal", pipeline_horizontal)):
-        if value is not None:
-            between(field, value, 0, float("inf"), "m")
-    other = read_json(pipeline_other / "result.json") if pipeline_other else None
-    if other is not None and ("plateau_pressure" not in other or "concrete_length" not in other):
-        raise RunFolderError(f"pipeline_other = '{pipeline_other}': is not the folder of a finished pipe run")
-
-    if "precision" in inspect.signature(module.scene).parameters:
+    between("checkpoint_every", every, 0, float("inf"), "s")
+    precision = settings["precision"]
+    if "precision" in declared_fields(module.scene.parameters):
         parameters = parameters | {"precision": precision}
     scene = module.scene(**parameters)
-    piped = pipeline_vertical is not None or pipeline_horizontal is not None
-    source = str(pipeline_other.resolve()) if pipeline_other else None
-    settings = dict(zip(KEPT, (frames, colour, network, rerun, usd, pipeline_vertical, pipeline_horizontal, source,
-                               checkpoint_every, threads or default_threads())))  # fmt: skip
-    fluid = isinstance(scene, FluidScene)
-    rerun_type, usd_type, plot_type = recorder_types(fluid)
-    one_of("colour", colour, rerun_type.COLOURINGS)
-    if fluid and network:
-        refuse("network", network, "draws the contacts of discrete elements; a flow has none")
-    if fluid and piped:
-        refuse("pipeline", pipeline_vertical or pipeline_horizontal, "is Eq. 13 of discrete elements' straight units")
-    if piped:
-        straight = ("vertical", "horizontal")
-        one_of("unit", scene.notes.get("unit"), straight)
-        if other is not None:
-            one_of("unit of pipeline_other", other.get("unit"), [u for u in straight if u != scene.notes["unit"]])
-    recorders: list[Any] = [TableRecorder(folder, settings)]
-    if rerun or live:
-        target = True if live == "spawn" else (live or False)
-        recorders.append(
-            rerun_type(folder / "run.rrd" if rerun else None, live=target, colouring=colour, network=network)
-        )
-    if usd:
-        recorders.append(usd_type(folder / "scene.usdc", colouring=colour))
-    recorders.append(
-        plot_type(folder / "flow.png", colour)
-        if fluid
-        else plot_type(folder / "pressure.png", scene.notes.get("paper"))
-    )
-
+    other = _pipeline_checked(scene, settings)
+    display = method_of(scene).display
+    look = Look(settings["colour"], settings["network"], True if settings["live"] == "spawn" else settings["live"] or False)
+    if look.colouring not in display.colourings:
+        refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
+    if look.network and not display.has_network:
+        refuse("network", True, f"draws lines between bodies; {display.noun} has none")
+    settings = settings | {"threads": settings["threads"] or default_threads()}
+    if settings["pipeline_other"] is not None:
+        settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())
     progress = ProgressBar()
-    simulation = (FluidSimulation if fluid else Simulation)(
+    checkpoint = folder / "checkpoint.npz"
+    simulation = Simulation(
         scene,
-        device=device,
+        device=settings["device"],
         precision=precision,
-        threads=threads,
-        recorders=recorders,
+        threads=settings["threads"],
+        recorders=recorders_of(folder, settings, look, {key: settings[key] for key in KEPT}),
         frame_interval=1.0 / frames,
-        progress=False if quiet else progress,
-        checkpoint_path=folder / "checkpoint.npz" if checkpoint_every else None,
-        checkpoint_every=checkpoint_every,
+        progress=False if settings["quiet"] else progress,
+        checkpoint_path=checkpoint if every else None,
+        checkpoint_every=every,
     )
-    for line in scene.notes.get("simplified", ()):
+    for line in scene.remarks:
         click.echo(f"note: {line}", err=True)
-
-    def stop(signum, frame) -> None:
-        # The first Ctrl-C ends the run at its next sample, a second one at once; none disturbs the writing.
-        if simulation.finishing:
-            return
-        if simulation.stop_requested:
-            raise KeyboardInterrupt
-        simulation.stop_requested = True
-
-    previous = signal.getsignal(signal.SIGINT)
     try:
         if going_on:
             try:
-                simulation.resume(folder / "checkpoint.npz")
+                simulation.resume(checkpoint)
             except KeyboardInterrupt:
                 raise RunFolderError(
                     f"resume = '{folder}': interrupted before the run went on; nothing changed"
                 ) from None
         else:
             simulation.prepare()
-        signal.signal(signal.SIGINT, stop)
-        finished_run = simulation.run()
+        with StopAtSample([simulation]):
+            done = simulation.run()
     finally:
-        signal.signal(signal.SIGINT, previous)
         progress.close()
-    if finished_run.folder is not None and piped and "plateau_pressure" in finished_run.result:
-        finished_run.result["pipeline_estimate"] = pipeline_estimate(
-            finished_run, pipeline_vertical or 0.0, pipeline_horizontal or 0.0, other
-        )
-        write_json(finished_run.folder / "result.json", finished_run.result)
-    report(finished_run, module)
-    if not finished_run.finished:
-        raise SystemExit(130)
+    pipeline = _pipeline_report(done, settings, other)
+    checks = checked(module, done)
+    report(done, checks, pipeline)
+    if not done.finished:
+        raise SystemExit(INTERRUPTED)
+    if failed := failed_checks(done.result):
+        click.echo(f"FAILED: {len(failed)} of {len(checks)} checks ({', '.join(failed)}); do not trust this run")
+        raise SystemExit(CHECK_FAILED)
 
 
-def report(run, module) -> None:
-    """Print the figures that people look at first."""
+def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
+    """Refuse what no pipeline can be worked out from; the result.json of `pipeline_other`, if that is given."""
+    lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
+    for field, value in lengths.items():
+        if value is not None:
+            between(field, value, 0, float("inf"), "m")
+    source = settings["pipeline_other"]
+    if all(value is None for value in lengths.values()):
+        if source is not None:
+            refuse("pipeline_other", str(source), "means nothing without a pipeline",
+                   "give pipeline_vertical, pipeline_horizontal or both")  # fmt: skip
+        return None
+    other = read_json(Path(source) / "result.json") if source is not None else None
+    check_pipeline(scene, other, source)
+    return other
+
+
+def _pipeline_report(run: Run, settings: dict[str, Any], other: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """The pressure of the pipeline as a line of the report, also kept in the run's result."""
+    height, distance = settings["pipeline_vertical"], settings["pipeline_horizontal"]
+    if height is None and distance is None:
+        return []
+    if "plateau_pressure" not in run.result:
+        return [("pipeline, Eq. 13", "none: it goes by the plateau, and this run has none")]
+    estimate = run.result["pipeline_estimate"] = pipeline_estimate(run, height or 0.0, distance or 0.0, other)
+    if run.folder is not None:
+        write_json(run.folder / "result.json", run.result)
+    total = number(estimate["total_pressure"]) / 1e6
+    return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
+
+
+def report(run: Run, checks: Checks, more: Iterable[tuple[str, str]] = ()) -> None:
+    """Print what people look at first; `more` are labels and texts to come after what the method reports."""
     result = run.result
 
     def show(label: str, text: str) -> None:
         click.echo(f"{label:<20s} {text}")
 
     click.echo()
-    if "plateau_pressure" in result:
-        paper = run.scene.notes.get("paper", {})
-
-        def beside(key: str) -> str:
-            return f"   (Zhan et al. 2019: {paper[key] / 1e3:.2f} kPa)" if key in paper else ""
-
-        peak, at = result["peak_pressure"]["value"], result["peak_travel"]["value"]
-        show("peak pressure", f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{beside('peak')}")
-        show("plateau pressure", f"{result['plateau_pressure']['value'] / 1e3:.2f} kPa{beside('plateau')}")
-    if "slip_velocity" in result:
-
-        def shown(name: str, factor: float, unit: str) -> str:
-            theory, error = result[f"{name}_theory"]["value"] * factor, result[f"{name}_error"]
-            return (f"{result[name]['value'] * factor:.4g} {unit}   (theory, {result['theory']}: {theory:.4g}; "
-                    f"{100 * error:+.2f} %)")  # fmt: skip
-
-        show("pressure", shown("pressure", 1e-3, "kPa"))
-        show("slip velocity", shown("slip_velocity", 100, "cm/s"))
-        show("profile", f"rms {100 * result['profile_error']:.2f} % of the mean velocity off theory")
-    if "pipeline_estimate" in result:
-        estimate = result["pipeline_estimate"]
-        show("pipeline, Eq. 13", f"{estimate['total_pressure']['value'] / 1e6:.2f} MPa; other direction from "
-             f"{estimate['other_direction_from']}")  # fmt: skip
-    if run.packing:
-        show("packing", f"{run.packing.bodies} aggregates, solid fraction {run.packing.solid_fraction:.3f}, "
-             f"{run.packing.coordination_number:.1f} neighbours each")  # fmt: skip
+    method = method_of(run.scene)
+    for label, text in (*report_of(method.quantities, run), *method.report(run), *more):
+        show(label, text)
     speed = result["speed"]
-    total = sum(speed[k]["value"] for k in ("packing_time", "settling_time", "wall_time") if k in speed)
-    show("time", f"{total:.0f} s for {result['steps']} steps ({speed['steps_per_second']['value']:.0f} a second) "
+    total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
+    show("time", f"{total:.0f} s for {result['steps']} steps ({number(speed['steps_per_second']):.0f} a second) "
          f"on {result['provenance']['device']}")  # fmt: skip
-    if run.finished:
-        for name, (passed, found) in module.check(run).items():
-            show("check", f"{'ok  ' if passed else 'FAIL'} {name}: {found}")
-    else:
-        show("interrupted", f"at t = {result['simulated_time']['value']:.3f} s; everything so far is written")
-        if (run.folder / "checkpoint.npz").is_file():
+    for name, (passed, found) in checks.items():
+        show("check", f"{'ok  ' if passed else 'FAIL'} {name}: {found}")
+    if not run.finished:
+        show("interrupted", f"at t = {number(result['simulated_time']):.3f} s; everything so far is written")
+        if run.folder is not None and (run.folder / "checkpoint.npz").is_file():
             show("go on with", f"warpcrete run --resume {run.folder}")
     if run.folder is not None:
         show("run folder", f"{run.folder}   (warpcrete view {run.folder})")

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import click
 
+from ..core.device import PRECISIONS
 from ..core.errors import RunFolderError
-from ..core.parameters import kind_and_help
+from ..core.files import next_folder, read_json
+from ..core.parameters import Alias, Field, declared_fields
+from ..core.progress import ProgressBar
+from ..record.recorders import RECORDERS
+from ..studies.study import Study, resume_study, run_study
+from .run import CHECK_FAILED, INTERRUPTED
 
-FLAGS = ("one-at-a-time", "rerun", "usd", "quiet")
+CASE_FAILED = 1
+"""Exit code of a study of which a case ended with an error."""
+RECORDED = tuple(kind.name for kind in RECORDERS)
+FLAGS = ("one-at-a-time", *RECORDED, "quiet")
 SETTINGS = {
     "repeat": int,
     "out": Path,
@@ -52,11 +60,42 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Run, or go on with, a study, and print its table."""
-    from ..core.progress import ProgressBar
-    from ..record.run_folder import next_folder, read_json
-    from ..studies.study import resume_study, run_study
-
     scene, options = parsed(arguments)
+    settings = _taken(options)
+    progress = ProgressBar()
+    tell = None if settings["quiet"] else progress
+    try:
+        if settings.get("resume") is not None:
+            study = _resumed(scene, options, settings, modules, tell)
+        else:
+            study = _begun(scene, options, settings, modules, tell)
+    finally:
+        progress.close()
+    report(study)
+    if not study.finished:
+        click.echo(f"go on with: warpcrete study --resume {study.folder}")
+        raise SystemExit(INTERRUPTED)
+    if study.failures:
+        raise SystemExit(CASE_FAILED)
+    if study.suspect:
+        names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())
+        click.echo(f"FAILED: checks of {len(study.suspect)} of {len(study.cases)} cases: {names}; do not trust these")
+        raise SystemExit(CHECK_FAILED)
+
+
+def report(study: Study) -> None:
+    """Print the table and what failed."""
+    click.echo()
+    if any(each.name in result for result in study.results.values() for each in study.quantities):
+        click.echo(study.table())
+    for name, message in study.failures.items():
+        click.echo(f"failed: {name}: {message}")
+    done = len(study.results) + len(study.failures)
+    click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
+
+
+def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
+    """Flags and settings of the study, taken out of `options`, which then holds the scene's parameters."""
     settings: dict[str, Any] = {}
     for name in FLAGS:
         values = options.pop(name, None)
@@ -69,65 +108,63 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             if len(values) != 1:
                 raise click.UsageError(f"--{name}: takes one value")
             settings[name] = _converted(name, values[0], kind)
-    progress = ProgressBar()
-    tell = None if settings["quiet"] else progress
-    processes = settings.get("processes")
-    if processes is not None and processes < 1:
+    if settings.get("processes", 1) < 1:
         raise click.UsageError("--processes: must be 1 or more")
-    try:
-        if (folder := settings.get("resume")) is not None:
-            given = [n for n in settings if n not in ("resume", "quiet", "processes") and settings[n]] + list(options)
-            if scene is not None or given:
-                raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
-            if not (folder / "study.json").is_file():
-                raise RunFolderError(f"resume = '{folder}': is no study's folder (it holds no study.json)")
-            name = read_json(folder / "study.json").get("scene")
-            if name not in modules:
-                raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
-            study = resume_study(folder, modules[name], processes=processes, progress=tell)
-        else:
-            if scene not in modules:
-                raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
-            if settings.get("precision") not in (None, "float32", "float64"):
-                raise click.UsageError(f"precision = {settings['precision']!r}: must be float32 or float64")
-            module = modules[scene]
-            lists = _parameter_values(module, options)
-            study = run_study(
-                scene,
-                module,
-                {name: values for name, values in lists.items() if len(values) > 1},
-                base={name: values[0] for name, values in lists.items() if len(values) == 1},
-                out=settings.get("out") or next_folder("study"),
-                repeat=settings.get("repeat", 1),
-                one_at_a_time=settings["one-at-a-time"],
-                device=settings.get("device"),
-                precision=settings.get("precision", "float32"),
-                processes=processes,
-                frames=settings.get("frames", 25.0),
-                rerun=settings["rerun"],
-                usd=settings["usd"],
-                checkpoint_every=settings.get("checkpoint-every", 60.0),
-                progress=tell,
-            )
-    finally:
-        progress.close()
-    click.echo()
-    if any(name in result for result in study.results.values() for name in study.figures):
-        click.echo(study.table())
-    for name, message in study.failures.items():
-        click.echo(f"failed: {name}: {message}")
-    done = len(study.results) + len(study.failures)
-    click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
-    if not study.finished:
-        click.echo(f"go on with: warpcrete study --resume {study.folder}")
-        raise SystemExit(130)
-    if study.failures:
-        raise SystemExit(1)
+    if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
+        raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
+    return settings
+
+
+def _resumed(
+    scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
+) -> Study:
+    folder = settings["resume"]
+    given = [n for n in settings if n not in ("resume", "quiet", "processes") and settings[n]] + list(options)
+    if scene is not None or given:
+        raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
+    if not (folder / "study.json").is_file():
+        raise RunFolderError(f"resume = '{folder}': is no study's folder (it holds no study.json)")
+    name = read_json(folder / "study.json").get("scene")
+    if name not in modules:
+        raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
+    return resume_study(folder, modules[name], processes=settings.get("processes"), progress=tell)
+
+
+def _begun(
+    scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
+) -> Study:
+    if scene not in modules:
+        raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+    module = modules[scene]
+    lists = _parameter_values(module, options)
+    return run_study(
+        scene,
+        module,
+        {name: values for name, values in lists.items() if len(values) > 1},
+        base={name: values[0] for name, values in lists.items() if len(values) == 1},
+        out=settings.get("out") or next_folder("study"),
+        repeat=settings.get("repeat", 1),
+        one_at_a_time=settings["one-at-a-time"],
+        device=settings.get("device"),
+        precision=settings.get("precision", PRECISIONS[0]),
+        processes=settings.get("processes"),
+        frames=settings.get("frames", 25.0),
+        checkpoint_every=settings.get("checkpoint-every", 60.0),
+        progress=tell,
+        **{name: settings[name] for name in RECORDED},
+    )
+
+
+def _fields(module: Any) -> dict[str, Field]:
+    """Parameters of a scene by each name that they have."""
+    found: dict[str, Field] = {}
+    for name, field in declared_fields(module.scene.parameters).items():
+        found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)
+    return found
 
 
 def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
-    hints = get_type_hints(module.scene, include_extras=True)
-    known = inspect.signature(module.scene).parameters
+    known = _fields(module)
     found: dict[str, list[Any]] = {}
     for option, words in options.items():
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
@@ -136,7 +173,7 @@ def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, l
             raise click.UsageError(
                 f"--{option}: is no parameter of this scene; 'warpcrete run SCENE --help' lists them"
             )
-        kind = kind_and_help(hints[name])[0]
+        kind = known[name].kind
         if negative and (words or kind is not bool):
             raise click.UsageError(f"--{option}: takes no value")
         if kind is bool:

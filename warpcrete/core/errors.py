@@ -32,22 +32,22 @@ class ConvergenceError(InstabilityError):
     """A solve did not converge; `history` holds the norms of its residual, from the start on."""
 
     def __init__(
-        self, time: float, what: str, iterations: int, history: list[float], residual: float, most: int
+        self, time: float, what: str, iterations: int, history: list[float], residual: float, maximum: int
     ) -> None:
         self.time, self.what, self.iterations, self.history, self.residual = time, what, iterations, history, residual
-        self.most = most
+        self.maximum = maximum
         chosen = sorted({0, *(2**e - 1 for e in range(1, 12)), len(history) - 1})
         path = ", ".join(f"{history[k]:.2g}" for k in chosen if k < len(history))
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
-            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (most_iterations = "
-            f"{most}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, {looser}more "
+            f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (maximum_iterations "
+            f"= {maximum}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, {looser}more "
             "iterations, precision float64"
         )
 
     def __reduce__(self):
         # Processes of a study hand errors on as pickles, which would call with the message alone.
-        return type(self), (self.time, self.what, self.iterations, self.history, self.residual, self.most)
+        return type(self), (self.time, self.what, self.iterations, self.history, self.residual, self.maximum)
 
 
 class CapacityError(WarpcreteError):

@@ -216,18 +216,23 @@ class SceneFunction(Generic[P, S]):
 
     def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters by their own names, where some are given by another one."""
-        values: dict[str, Any] = dict(given)
-        for name, field in declared_fields(self.parameters).items():
-            for alias in field.of_kind(Alias):
-                if alias.name in values:
-                    value = values.pop(alias.name)
-                    if name in values:
-                        refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one")
-                    try:
-                        values[name] = alias.convert(value) if alias.convert and value is not None else value
-                    except TypeError as error:
-                        raise SceneError(f"{alias.name} = {value!r}: {error}") from error
-        return values
+        return resolved(declared_fields(self.parameters), given)
+
+
+def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of fields by the fields' own names, where some are given by another one."""
+    values: dict[str, Any] = dict(given)
+    for name, field in known.items():
+        for alias in field.of_kind(Alias):
+            if alias.name in values:
+                value = values.pop(alias.name)
+                if name in values:
+                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one")
+                try:
+                    values[name] = alias.convert(value) if alias.convert and value is not None else value
+                except TypeError as error:
+                    raise SceneError(f"{alias.name} = {value!r}: {error}") from error
+    return values
 
 
 def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:

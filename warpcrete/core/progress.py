@@ -13,8 +13,8 @@ class ProgressBar:
         self._bar: Any = None
         self._phase = ""
 
-    def __call__(self, phase: str, share: float, figures: dict[str, Any]) -> None:
-        """Show the share done of a phase."""
+    def __call__(self, phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        """Show the fraction done of a phase."""
         from tqdm.auto import tqdm
 
         if phase != self._phase:
@@ -23,10 +23,10 @@ class ProgressBar:
             layout = "{desc:<9} {percentage:3.0f}% |{bar:30}| {elapsed}<{remaining}{postfix}"
             self._bar = tqdm(total=1.0, desc=phase, bar_format=layout)
             self._shown = 0.0
-        if share < 1.0 and time.monotonic() - self._shown < 0.2:
+        if fraction < 1.0 and time.monotonic() - self._shown < 0.2:
             return
         self._shown = time.monotonic()
-        self._bar.n = min(share, 1.0)
+        self._bar.n = min(fraction, 1.0)
         shown = {}
         if "pressure" in figures:
             shown["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"

@@ -56,13 +56,18 @@ class Known:
             return False
         travel, pressure = self.series["travel"], self.series["pressure"]
         begin = (1 - WINDOW) * travel[-1]
-        if self.scene.pipe is not None and begin < self.scene.pipe.ramp:
+        if not past_ramp(self.scene, travel[-1]):
             return False
         ahead = (travel >= begin - WINDOW * travel[-1]) & (travel < begin)
         if not ahead.any():
             return False
         late = pressure[self.window].mean()
         return bool(abs(late - pressure[ahead].mean()) <= LEVEL * abs(late))
+
+
+def past_ramp(scene: Scene, travel: float) -> bool:
+    """After so much travel [m] the piston has moved at its final speed all through the window."""
+    return scene.pipe is None or (1 - WINDOW) * travel >= scene.pipe.ramp
 
 
 def momentum_balance(known: Known) -> float:
@@ -132,7 +137,7 @@ def no_plateau(run: Run) -> str:
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
         return ""
     travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
-    if pipe is not None and (1 - WINDOW) * travel < pipe.ramp:
+    if not past_ramp(run.scene, travel):
         return (
             f"none: of {travel:.4g} m of travel the last {WINDOW * travel:.3g} m must come after the ramp of "
             f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"

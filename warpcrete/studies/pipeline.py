@@ -7,6 +7,7 @@ from typing import Any
 from ..core.errors import RunFolderError, between, one_of, refuse
 from ..core.run_loop import Run
 from ..core.units import number, quantity
+from ..dem.quantities import WINDOW, past_ramp
 
 STRAIGHT = ("vertical", "horizontal")
 
@@ -24,6 +25,9 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
     if pipe is None:
         refuse("pipeline", scene.name, "is Eq. 13 of straight units of discrete elements", "take the scene pipe")
     one_of("unit", pipe.name, STRAIGHT)
+    if not past_ramp(scene, pipe.travel):
+        refuse("travel", pipe.travel, f"ends before the pressure has a plateau, by which Eq. 13 goes; the ramp is "
+               f"{pipe.ramp:g} m", f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp")  # fmt: skip
     if other is not None:
         if "plateau_pressure" not in other or "concrete_length" not in other:
             raise RunFolderError(f"pipeline_other = '{source}': is not the folder of a finished pipe run with a plateau")

@@ -18,6 +18,7 @@ from ..core.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
+from .checks import checked
 
 Progress = Callable[[str, float, dict[str, Any]], None]
 Book = Callable[[Case, Any], None]
@@ -72,6 +73,8 @@ def run_on_gpu(
         method = method_of(simulations[0].scene)
         outcomes = method.run_many(simulations, [checkpoint for _, checkpoint in pairs], packing)
     for case, outcome in zip(pending, outcomes):
+        if isinstance(outcome, Run):
+            checked(module, outcome)
         book(case, outcome)
 
 
@@ -141,5 +144,6 @@ def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case)
     run_many = method_of(simulation.scene).run_many
     (outcome,) = run_many([simulation], [checkpoint], lambda phase, fraction: hear(phase, fraction, {}))
     if isinstance(outcome, Run):
+        checked(module, outcome)
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None

@@ -27,10 +27,13 @@ from ..core.units import number, shown
 from ..methods import method_of
 from ..record.recorders import RECORDERS
 from .cases import Case, cases_of
+from .checks import failed_checks
 from .drawing import draw
 from .running import run_in_processes, run_on_gpu
 
 FAILED = "failed.txt"
+COUNTS = ("runs", "failed", "suspect")
+"""Columns of a table: finished runs, runs that ended with an error, finished runs that a check does not accept."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -61,6 +64,12 @@ class Study:
         return len(self.results) + len(self.failures) == len(self.cases)
 
     @property
+    def suspect(self) -> dict[str, list[str]]:
+        """Checks that failed, by the names of the finished cases that have any."""
+        found = {name: failed_checks(result) for name, result in self.results.items()}
+        return {name: checks for name, checks in found.items() if checks}
+
+    @property
     def varied(self) -> list[str]:
         """Names of the parameters that vary."""
         return list(dict.fromkeys(key for case in self.cases for key in case.varied))
@@ -84,13 +93,14 @@ class Study:
                 row[f"{each.name}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
             row["runs"] = len(done)
             row["failed"] = sum(c.name in self.failures for c in members)
+            row["suspect"] = sum(c.name in self.suspect for c in members)
             rows.append(row)
         return rows
 
     def table(self) -> str:
         """Markdown table, in the units that people read."""
         titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.quantities]
-        head = [*map(self.heading, self.varied), *titles, "runs", "failed"]
+        head = [*map(self.heading, self.varied), *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
         for row in self.rows():
             cells = [str(row.get(name, "")) for name in self.varied]
@@ -99,7 +109,7 @@ class Study:
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
                 text = f"{mean:.2f}" if np.isfinite(mean) else "none"
                 cells.append(text + (f" +- {scatter:.2f}" if np.isfinite(scatter) else ""))
-            lines.append("| " + " | ".join([*cells, str(row["runs"]), str(row["failed"])]) + " |")
+            lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
         return "\n".join(lines)
 
     def write(self) -> None:
@@ -144,7 +154,8 @@ def run_study(
     :class:`SceneError` before anything is written if any case makes no scene.
     """
     known = declared_fields(module.scene.parameters)
-    base, varied = module.scene.resolved(base or {}), module.scene.resolved(varied)
+    base = module.scene.resolved(base or {})
+    varied = _lists(module.scene, varied)
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
@@ -212,6 +223,17 @@ def resume_study(
             run_in_processes(record, module, folder, pending, processes, book)
     study.write()
     return study
+
+
+def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    """Lists of values by their parameters' own names."""
+    found: dict[str, list[Any]] = {}
+    for name, values in varied.items():
+        (own,) = scene.resolved({name: None})
+        if own in found:
+            refuse(name, values, f"is another name of {own}, which varies too", "leave out one")
+        found[own] = [scene.resolved({name: value})[own] for value in values]
+    return found
 
 
 def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:

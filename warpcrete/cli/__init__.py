@@ -1,0 +1,5 @@
+"""The `warpcrete` command."""
+
+from .main import cli, main
+
+__all__ = ["cli", "main"]

@@ -1,0 +1,106 @@
+"""Options of the command that are made from declared parameters, and those that every run has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.parameters import Alias, Field, OneOf
+from ..record.recorders import RECORDERS
+
+
+class ParameterOption(click.Option):
+    """Option of a declared parameter; help pages list it under its group."""
+
+    group = ""
+
+
+class GroupedCommand(click.Command):
+    """Help pages with a section for each group of parameters."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for option in self.get_params(ctx):
+            record = option.get_help_record(ctx)
+            if record is not None:
+                group = option.group if isinstance(option, ParameterOption) else "Recording and running."
+                sections.setdefault(group, []).append(record)
+        for title, records in sections.items():
+            with formatter.section(title.rstrip(".")):
+                formatter.write_dl(records)
+
+
+def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
+    """An option for each field, and a hidden one for each other name that it has."""
+    found: list[click.Parameter] = []
+    for field in fields:
+        names = [field.name, *(alias.name for alias in field.of_kind(Alias))]
+        others = f"; also {', '.join(flag(name) for name in names[1:])}" if len(names) > 1 else ""
+        for name in names:
+            own = name == field.name
+            default = field.default if field.default is not MISSING else None
+            settings: dict[str, Any] = {
+                "default": default if own else None,
+                "help": field.help + others,
+                "hidden": not own,
+                "show_default": own and default not in (None, ""),
+            }
+            if field.kind is bool:
+                option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
+            else:
+                option = ParameterOption([flag(name), name], type=_kind(field), **settings)
+            option.group = field.group
+            found.append(option)
+    return found
+
+
+def _kind(field: Field) -> Any:
+    choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
+    return click.Choice(list(choices)) if choices and field.kind is str else field.kind
+
+
+def flag(name: str) -> str:
+    """Option of a parameter."""
+    return "--" + name.replace("_", "-")
+
+
+def given(values: Mapping[str, Any], context: click.Context | None = None) -> dict[str, Any]:
+    """Those of the options' values that were given, not left to their defaults."""
+    context = context or click.get_current_context()
+    default = click.core.ParameterSource.DEFAULT
+    return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
+
+
+def run_options() -> list[click.Parameter]:
+    """Options of every run, whatever its scene."""
+    return [
+        click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),
+        click.Option(["--device"], help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
+        click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
+                     help="of positions and forces"),
+        click.Option(["--threads"], type=click.IntRange(1, 1024), help="of a CPU run  [default: one a core]"),
+        click.Option(["--live"], is_flag=False, flag_value="spawn",
+                     help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
+        click.Option(["--frames"], type=float, default=25.0, show_default=True,
+                     help="recorded frames a simulated second, at most one a sample"),
+        click.Option(["--colour"], type=click.Choice(["speed", "size", "force", "pressure", "phase"]), default="speed",
+                     show_default=True, help="aggregates by speed, size or force, flows by speed, pressure or phase"),
+        click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),
+        *(
+            click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)
+            for kind in RECORDERS
+        ),
+        click.Option(["--pipeline-vertical"], type=float, help="pipeline height [m] for the total pressure (Eq. 13)"),
+        click.Option(["--pipeline-horizontal"], type=float, help="horizontal pipeline length [m] for Eq. 13"),
+        click.Option(["--pipeline-other"], type=click.Path(path_type=Path),
+                     help="run folder of the other straight unit, for Eq. 13"),
+        click.Option(["--checkpoint-every"], type=float, default=60.0, show_default=True,
+                     help="seconds of wall time between two checkpoints; 0 writes none"),
+        click.Option(["--resume"], type=click.Path(path_type=Path),
+                     help="go on with the interrupted run of this folder, as it began"),
+        click.Option(["--quiet"], is_flag=True, help="no progress bar"),
+    ]  # fmt: skip

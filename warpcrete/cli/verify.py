@@ -1,0 +1,50 @@
+"""`warpcrete verify`: our answers beside published and closed-form ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .. import verification
+from ..core.device import find_device
+from ..core.files import check_new
+from ..verification import extremes as edge
+from ..verification.figure import draw
+
+FAILED = 1
+"""Exit code where one of our answers is off."""
+
+
+def run(device: str | None, precision: str, only: str, quick: bool, extremes: bool, out: Path | None) -> None:
+    """Run the chosen cases, print their table, and write it with a figure into `out`."""
+    if out is not None:
+        check_new(out)
+    found = find_device(device)
+    chosen = [case for case in verification.cases() if only.lower() in f"{case.group}: {case.name}".lower()]
+    if not chosen:
+        raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
+    if quick and all(case.slow for case in chosen):
+        raise click.UsageError(f"only = {only!r}: names slow cases only; leave out --quick")
+    results = []
+    failed = 0
+    for case, rows in verification.run_cases(chosen, str(found), precision, slow=not quick):
+        results.append((case, rows))
+        wrong = sum(not row.passed for row in rows)
+        failed += wrong
+        verdict = f"{wrong} of {len(rows)} FAIL" if wrong else f"{len(rows)} ok"
+        click.echo(f"{case.group + ': ' + case.name:48s} {verdict}")
+    text = f"{found.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
+    if extremes:
+        outcomes = edge.matrix(str(found), precision)
+        failed += sum(not outcome.acceptable for outcome in outcomes)
+        text += "\n" + edge.table(outcomes)
+    click.echo("\n" + text)
+    if out is not None:
+        out.mkdir(parents=True)
+        (out / "verification.md").write_text(text)
+        draw(results).savefig(out / "verification.png", dpi=110)
+        click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")
+    if failed:
+        click.echo(f"FAILED: {failed} answers are off")
+        raise SystemExit(FAILED)
