@@ -14,13 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from warpcrete.record.flow import places, tint
 
 from warpcrete import scenes
+from warpcrete.core.device import default_threads, find_device
 from warpcrete.mps import theory
 from warpcrete.mps.simulation import FluidSimulation
-from warpcrete.core.device import default_threads
-from warpcrete.core.device import find_device
-from warpcrete.record.flow import places, tint
 
 MIXES = ("no1", "no2", "no3")
 FEW = 6  # mixes for a mean

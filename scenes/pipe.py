@@ -126,10 +126,8 @@ class ContactParameters:
     modulus: Annotated[float, "effective, of contacts [Pa]", Above()] = 1e5
     stiffness_ratio: Annotated[float, "normal over shear contact stiffness", Above()] = 2.0
     friction: Annotated[float, "coefficient between aggregates", Within(0)] = 0.05
-    wall_friction: Annotated[float | None, "coefficient on the pipe and the piston; default: as friction", Within(0)] = (
-        None
-    )
-    layer_yield: Annotated[float, "yield stress of a lubrication layer on the pipe and the piston [Pa]", Within(0)] = 0.0
+    wall_friction: Annotated[float | None, "on the pipe and the piston; default: as friction", Within(0)] = None
+    layer_yield: Annotated[float, "yield stress of a lubrication layer on pipe and piston [Pa]", Within(0)] = 0.0
     layer_viscosity: Annotated[float, "of that layer, over its thickness [Pa s/m]", Within(0)] = 0.0
     normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0)] = 0.5
     shear_damping: Annotated[float, "shear dashpot, over the critical one", Within(0)] = 0.0
@@ -417,9 +415,7 @@ def _plug(
             force=given.plug_pressure * given.area,
             mass=given.density * given.area * 2 * given.plug_ball,
         )
-        plate = PlaneWall(
-            name="plug", point=tuple(points[0]), normal=back, motion=motion, drawn_radius=given.radius
-        )
+        plate = PlaneWall(name="plug", point=tuple(points[0]), normal=back, motion=motion, drawn_radius=given.radius)
         return (), (), {}, (plate,)
     return (), (), {}, ()
 

@@ -13,8 +13,7 @@ import time
 import numpy as np
 import warp as wp
 
-from warpcrete import scenes
-from warpcrete.dem.simulation import Simulation
+from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.batch_run import run_together
 

@@ -17,10 +17,10 @@ import numpy as np
 import warp as wp
 
 from warpcrete import scenes
-from warpcrete.mps.probes import figures
-from warpcrete.mps.state import FluidState
 from warpcrete.core.device import find_device
 from warpcrete.mps.particles import MovingParticles
+from warpcrete.mps.probes import figures
+from warpcrete.mps.state import FluidState
 
 
 def flow_of(args, spacing: float, threads: int | None) -> MovingParticles:

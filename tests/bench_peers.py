@@ -27,18 +27,18 @@ import numpy as np
 import peers
 import warp as wp
 
+from warpcrete.core.device import default_threads, find_device
 from warpcrete.dem import clumps
-from warpcrete.kernels.dem.contact_law import contact_functions
-from warpcrete.kernels.common.types import types
-from warpcrete.core.device import default_threads
+from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.laws import Contact, ContactLaw
-from warpcrete.core.device import find_device
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
-from warpcrete.geometry.walls import PlaneWall
-from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.geometry.walls import PlaneWall
+from warpcrete.kernels.common.types import types
+from warpcrete.kernels.dem.contact_law import contact_functions
 
 DIAMETER, DENSITY, MODULUS, FRICTION, DAMPING = 0.01, 2500.0, 1e6, 0.05, 0.5
 STEP = 2e-5
@@ -176,8 +176,8 @@ def prepared(kind: str, count: int) -> Start:
     if kind == "bonded":
         stepper.bond(BONDS, 1)
     state = stepper.state
-    places, radii = np.split(state.sphere_position.numpy().copy(), [3], axis=1)
-    bodies = state.sphere_body.numpy().copy()
+    places, radii = np.split(state.spheres.position.numpy().copy(), [3], axis=1)
+    bodies = state.spheres.body.numpy().copy()
     stepper.take(1)
     touching = contact_sums(stepper.model, state).contacts if kind != "bonded" else state.pair_total
     radius = radii.mean()

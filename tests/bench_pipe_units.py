@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpcrete import scenes
-from warpcrete.dem.simulation import Simulation
+from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
 
 PAPER = {unit: scenes.pipe(unit=unit).notes["paper"] for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")}

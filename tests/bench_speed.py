@@ -18,17 +18,16 @@ import numpy as np
 import warp as wp
 from bench_peers import GRAVITY, box_of_spheres, scene_of
 
+from warpcrete.core.device import default_threads, find_device, memory_free
 from warpcrete.dem import clumps
-from warpcrete.core.device import default_threads
-from warpcrete.core.device import memory_free
+from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.memory import bytes_per_body
-from warpcrete.core.device import find_device
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bonds, Scene
-from warpcrete.geometry.walls import MeshWall
-from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.geometry.walls import MeshWall
 
 BONDS = Bonds(effective_modulus=1e6, tensile_strength=1e9, cohesion=1e9, gap=1e-4)
 
@@ -171,10 +170,9 @@ def timed(recorder):
 
 def recording_cost(arguments) -> None:
     """Share of a pumping run that recorders take at 50 frames a simulated second: the time inside their methods."""
-    from warpcrete import scenes
+    from warpcrete import Simulation, scenes
     from warpcrete.record.rerun import RerunRecorder
     from warpcrete.record.usd import UsdRecorder
-    from warpcrete.dem.simulation import Simulation
 
     scene = scenes.pipe(travel=0.15, settle=0.2, sample_interval=0.02)
     shares: dict[str, list[float]] = {"Rerun": [], "USD": []}

@@ -8,8 +8,9 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from warpcrete.core.device import find_device, quiet_init
+from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
-from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 
 
@@ -40,12 +41,12 @@ def start(device):
 
 def pair_history(state) -> dict:
     """Contact history by permanent sphere numbers (low, high): shear (with friction), bond kind, force, moment."""
-    start, other = state.pair_start.numpy(), state.pair_other.numpy()
-    ids = state.sphere_id.numpy()
+    start, other = state.pairs.start.numpy(), state.pairs.other.numpy()
+    ids = state.spheres.id.numpy()
     features = state.model.features
-    arrays = [state.pair_history.numpy()] if features.history else []
+    arrays = [state.pairs.history.numpy()] if features.history else []
     if features.bonds:
-        arrays += [a.numpy() for a in (state.pair_bond, state.pair_bond_force, state.pair_bond_moment)]
+        arrays += [a.numpy() for a in (state.pairs.bond, state.pairs.bond_force, state.pairs.bond_moment)]
     result = {}
     for i in range(state.sphere_count):
         for k in range(start[i], start[i + 1]):
@@ -61,7 +62,7 @@ def pair_history(state) -> dict:
 
 def by_id(state, name: str) -> np.ndarray:
     """A body array in the order of permanent numbers."""
-    return getattr(state, name).numpy()[np.argsort(state.body_id.numpy())]
+    return getattr(state, name).numpy()[np.argsort(state.bodies.id.numpy())]
 
 
 def verification(module):

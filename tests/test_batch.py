@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from test_checkpoint import mixed_scene
 
-from warpcrete import scenes
-from warpcrete.core.errors import CapacityError, InstabilityError
-from warpcrete.dem.memory import bytes_per_body, check_memory, memory_needed
+from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device
+from warpcrete.core.errors import CapacityError, InstabilityError
+from warpcrete.core.run_loop import Recorder, Run
+from warpcrete.dem.batch_run import run_together
+from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.memory import bytes_per_body, check_memory, memory_needed
 from warpcrete.dem.model import build_model
 from warpcrete.dem.restoring import state_hash
 from warpcrete.dem.scene import Bodies, Scene, Watch
+from warpcrete.dem.state import State
 from warpcrete.geometry.walls import PlaneWall
-from warpcrete.dem.simulation import Simulation
-from warpcrete.core.run_loop import Recorder, Run
-from warpcrete.dem.state import State, placed_bodies
-from warpcrete.dem.batch_run import run_together
 
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"

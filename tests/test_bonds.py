@@ -22,7 +22,7 @@ def bonded(start, bonds, *, velocity, spins=None, gap=1e-7, dt=2e-6):
 
 def load(stepper):
     """Bond force (shear x, y, z, tension) and moment (bending x, y, z, twisting) of the only pair."""
-    return stepper.state.pair_bond_force.numpy()[0].copy(), stepper.state.pair_bond_moment.numpy()[0].copy()
+    return stepper.state.pairs.bond_force.numpy()[0].copy(), stepper.state.pairs.bond_moment.numpy()[0].copy()
 
 
 def strong(**changes):
@@ -86,7 +86,7 @@ def test_breaks_in_tension_at_its_strength(start):
     increment = 2e5 / (2 * RADIUS) * AREA * 0.3 * stepper.dt
     last = history[-1][0][3]
     assert last <= strength * AREA <= last + increment
-    assert stepper.state.pair_bond.numpy()[0] == -1
+    assert stepper.state.pairs.bond.numpy()[0] == -1
     assert np.all(load(stepper)[0] == 0)
 
 
@@ -129,7 +129,7 @@ def test_healing_bonds_at_first_touch_only_where_asked_for(start):
         stepper.advance(0.02)
         distance = np.linalg.norm(np.diff(by_id(stepper.state, "body_position"), axis=0))
         if healing:
-            assert stepper.state.pair_bond.numpy()[0] == 1 and distance < 2 * RADIUS + 2e-4
+            assert stepper.state.pairs.bond.numpy()[0] == 1 and distance < 2 * RADIUS + 2e-4
         else:
             assert distance > 2 * RADIUS + 1e-4
 

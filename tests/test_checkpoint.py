@@ -10,20 +10,19 @@ import numpy as np
 import pytest
 from test_pipe import SMALL, command, small_options
 
-from warpcrete import scenes
-from warpcrete.dem import clumps
-from warpcrete.geometry.axis import Axis, Line
+from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
-from warpcrete.dem.laws import Contact
 from warpcrete.core.provenance import fingerprint
-from warpcrete.dem.restoring import state_hash
-from warpcrete.record.rerun import RerunRecorder
-from warpcrete.record.usd import UsdRecorder
-from warpcrete.record.run_folder import TableRecorder
-from warpcrete.dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
-from warpcrete.geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
-from warpcrete.dem.simulation import Simulation
 from warpcrete.core.run_loop import Recorder
+from warpcrete.dem import clumps
+from warpcrete.dem.laws import Contact
+from warpcrete.dem.restoring import state_hash
+from warpcrete.dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.run_folder import TableRecorder
+from warpcrete.record.usd import UsdRecorder
 
 KILLS = 3
 

@@ -7,13 +7,14 @@ import pytest
 import trimesh
 from conftest import by_id
 
-from warpcrete.dem import clumps
-from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.core.errors import SceneError
-from warpcrete.dem.packing import Fill, MeshContainer, PipeContainer, pack
+from warpcrete.dem import clumps
+from warpcrete.dem.containers import Fill, MeshContainer, PipeContainer
+from warpcrete.dem.packing import pack
 from warpcrete.dem.probes import body_sums
 from warpcrete.dem.scene import Bodies, Scene, TimeStep
 from warpcrete.dem.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.rotation import rotate
 
 
@@ -111,14 +112,14 @@ def test_free_tumbling_keeps_energy_and_angular_momentum(start):
     )
     stepper = start(scene)
     body = stepper.state
-    momentum = body.body_angular_momentum.numpy()[0].copy()
+    momentum = body.bodies.angular_momentum.numpy()[0].copy()
     energies, spins = [], []
     for _ in range(100):
         stepper.take(100)
         energies.append(body_sums(stepper.model, body).kinetic_energy)
         spins.append(rotate(by_id(body, "body_orientation"), by_id(body, "body_spin"), inverse=True)[0])
-    assert np.array_equal(body.body_angular_momentum.numpy()[0], momentum)
-    size_mass = float(body.body_mass.numpy()[0]) * 0.02**2
+    assert np.array_equal(body.bodies.angular_momentum.numpy()[0], momentum)
+    size_mass = float(body.bodies.mass.numpy()[0]) * 0.02**2
     exact = 0.5 * size_mass * (moments * spin[0] ** 2).sum()
     energies = np.array(energies)
     # Spin and orientation are half a step apart when the probe reads them: a small oscillation, no drift.

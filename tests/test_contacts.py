@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from conftest import by_id, pair_history
 
-from warpcrete.geometry.axis import Axis, Line
 from warpcrete.core.device import find_device
+from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.model import build_model
-from warpcrete.dem.packing import Fill, PipeContainer, pack
+from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
-from warpcrete.geometry.walls import PlaneWall
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.geometry.walls import PlaneWall
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
@@ -256,16 +257,16 @@ def test_history_survives_rebuild_and_sorting_bit_for_bit(device):
     stepper.bond(model.scene.bonds, 1)
     stepper.take(200)
     stepper.rebuild()
-    before, order = pair_history(stepper.state), stepper.state.body_id.numpy().copy()
+    before, order = pair_history(stepper.state), stepper.state.bodies.id.numpy().copy()
     loaded = sum(np.any(np.frombuffer(value[0])) for value in before.values())
     assert loaded > 100
     stepper.lists.sort_every[:] = 1
     stepper.rebuild()
-    assert not np.array_equal(stepper.state.body_id.numpy(), order)
+    assert not np.array_equal(stepper.state.bodies.id.numpy(), order)
     after = pair_history(stepper.state)
     assert before == after
-    ids = stepper.state.sphere_id.numpy()
-    body = stepper.state.body_id.numpy()[stepper.state.sphere_body.numpy()]
+    ids = stepper.state.spheres.id.numpy()
+    body = stepper.state.bodies.id.numpy()[stepper.state.spheres.body.numpy()]
     counts = np.array([len(t.radii) for t in stepper.state.templates])[table.template]
     assert np.array_equal(np.repeat(np.arange(len(table)), counts)[ids], body)
 
@@ -278,7 +279,7 @@ def test_sorting_changes_the_order_but_not_the_motion(device):
         stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), sort_every=sort_every)
         stepper.bond(model.scene.bonds, 1)
         stepper.take(400)
-        runs.append((by_id(stepper.state, "body_position"), stepper.state.body_id.numpy().copy()))
+        runs.append((by_id(stepper.state, "body_position"), stepper.state.bodies.id.numpy().copy()))
     assert not np.array_equal(runs[0][1], runs[1][1])
     assert np.abs(runs[0][0] - runs[1][0]).max() < 1e-9  # sums in another order: rounding, grown by 400 steps
 
@@ -298,7 +299,7 @@ def test_half_and_full_list_agree(device):
         stepper.take(300)
         history = {key: np.frombuffer(value[0]) for key, value in pair_history(stepper.state).items()}
         results.append(
-            (made, by_id(stepper.state, "body_position"), history, stepper.state.sphere_broken.numpy().sum(0))
+            (made, by_id(stepper.state, "body_position"), history, stepper.state.spheres.broken.numpy().sum(0))
         )
     assert results[0][0] == results[1][0] > 100
     assert np.array_equal(results[0][3], results[1][3])

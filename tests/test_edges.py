@@ -8,14 +8,14 @@ import pytest
 from conftest import by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
-from warpcrete import SceneError, WarpcreteError, scenes
+from warpcrete import SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.dem import clumps
-from warpcrete.geometry.axis import Axis, Line
-from warpcrete.dem.packing import Fill, PipeContainer, pack
+from warpcrete.dem.containers import Fill, PipeContainer
+from warpcrete.dem.packing import pack
 from warpcrete.dem.scene import AxisDrive, Bodies, Contact, Scene, TimeStep
-from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
-from warpcrete.dem.simulation import Simulation
 from warpcrete.dem.sizes import Gaussian
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
 AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(1.0),))
 
@@ -51,7 +51,7 @@ def test_approaching_mesh_is_met_in_time(start):
     deepest = 0.0
     for _ in range(4000):
         stepper.take(1)
-        lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
+        lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
         deepest = max(deepest, RADIUS - lift)
         if stepper.time > 0.03:
             break
@@ -87,7 +87,7 @@ def test_light_driven_wall_has_its_say_in_the_step(start):
     floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
     stepper = start(Scene(name="press", duration=1, walls=(floor, plate), bodies=(ball(),), gravity=(0, 0, 0)))
     stepper.advance(0.3)
-    assert 2 * RADIUS - stepper.state.wall_position.numpy()[1, 2] == pytest.approx(2 / K_WALL, rel=1e-3)
+    assert 2 * RADIUS - stepper.state.walls.position.numpy()[1, 2] == pytest.approx(2 / K_WALL, rel=1e-3)
 
 
 def test_samples_shorter_than_the_step_repeat_the_last_figure(device):
@@ -121,10 +121,10 @@ def test_healed_bonds_start_without_the_loads_of_settling(device):
     simulation = Simulation(scenes.pipe(healing=True, cohesion=1e9, **small), device=device)
     simulation.prepare()
     state = simulation.state
-    made = state.pair_bond.numpy() == 1
-    assert made.sum() > 50 and np.all(state.pair_bond_force.numpy()[made] == 0)
+    made = state.pairs.bond.numpy() == 1
+    assert made.sum() > 50 and np.all(state.pairs.bond_force.numpy()[made] == 0)
     simulation.stepper.advance(0.005)
-    assert np.abs(state.pair_bond_force.numpy()[state.pair_bond.numpy() == 1]).max() > 0
+    assert np.abs(state.pairs.bond_force.numpy()[state.pairs.bond.numpy() == 1]).max() > 0
 
 
 def test_one_size_is_a_distribution():
@@ -148,7 +148,7 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
     stepper.advance(1.0)
     turned = math.pi / 2 * stepper.time
     expected = [stepper.time - math.sin(turned), math.cos(turned), 0]
-    assert stepper.state.wall_position.numpy()[0] == pytest.approx(expected, abs=1e-9)
+    assert stepper.state.walls.position.numpy()[0] == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(

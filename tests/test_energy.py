@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from test_pipe import SMALL
 
-from warpcrete import scenes
+from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.scene import Bodies, Scene, Settle
 from warpcrete.geometry.walls import PlaneWall, Prescribed
-from warpcrete.dem.simulation import Simulation
 
 
 @pytest.mark.parametrize(

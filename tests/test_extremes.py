@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from warpcrete import Simulation
 from warpcrete.core.errors import InstabilityError
 from warpcrete.dem.laws import Contact
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Watch
-from warpcrete.dem.simulation import Simulation
 from warpcrete.verification import extremes
 
 CASES = list(extremes.scenes())
@@ -49,16 +49,16 @@ def one_sphere(**changes) -> Scene:
 def test_nan_stops_a_run_in_the_step_it_appears(device):
     simulation = Simulation(one_sphere(), device=device)
     simulation.prepare()
-    velocity = simulation.state.sphere_velocity.numpy().copy()
+    velocity = simulation.state.spheres.velocity.numpy().copy()
     velocity[1, 2] = np.nan
-    simulation.state.sphere_velocity.assign(velocity)
+    simulation.state.spheres.velocity.assign(velocity)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: speed goes from nan .*usual cures"):
         simulation.stepper.take(1)
     simulation = Simulation(one_sphere(), device=device)
     simulation.prepare()
-    spin = simulation.state.sphere_spin.numpy().copy()
+    spin = simulation.state.spheres.spin.numpy().copy()
     spin[1, 0] = np.nan
-    simulation.state.sphere_spin.assign(spin)
+    simulation.state.spheres.spin.assign(spin)
     with pytest.raises(InstabilityError, match=r"t = .*body 1: kinetic_energy is not a finite number"):
         simulation.run()
 
@@ -106,4 +106,4 @@ def test_far_from_the_origin_small_steps_still_count(device):
     simulation = Simulation(scene, device=device, precision="float32")
     simulation.prepare()
     simulation.stepper.take(5000)
-    assert simulation.state.body_position.numpy()[0, 0] - 10 == pytest.approx(0.05 * 5e-3, rel=5e-3)
+    assert simulation.state.bodies.position.numpy()[0, 0] - 10 == pytest.approx(0.05 * 5e-3, rel=5e-3)

@@ -9,14 +9,13 @@ from test_theory import FLOW
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.core.device import default_threads, find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
+from warpcrete.core.run_loop import Recorder
+from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.scene import check_flow, mortar_of
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.state import FluidState, layout
-from warpcrete.core.device import default_threads
-from warpcrete.core.device import find_device
-from warpcrete.mps.particles import MovingParticles
-from warpcrete.core.run_loop import Recorder
 from warpcrete.mps.theory import CONCRETES
 
 SCENES = {2: scenes.channel, 3: scenes.tube}

@@ -103,8 +103,7 @@ def test_wheel_holds_the_package_and_nothing_else(tmp_path):
 def test_a_second_step_compiles_nothing(device):
     import warp as wp
 
-    from warpcrete import scenes
-    from warpcrete.dem.simulation import Simulation
+    from warpcrete import Simulation, scenes
 
     small = dict(diameter=0.06, length=0.05, travel=0.01, size_min=8e-3, size_max=12e-3, settle=0.1)
     first = Simulation(scenes.pipe(**small), device=device)

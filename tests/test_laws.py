@@ -12,12 +12,12 @@ from conftest import by_id
 from test_contacts import DENSITY, K_PAIR, MASS, NO_GRAVITY, RADIUS, two_spheres
 
 from warpcrete.core.errors import SceneError
-from warpcrete.kernels.dem.contact_law import contact_functions
-from warpcrete.kernels.common.types import types
 from warpcrete.dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer, damping_ratio
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import PlaneWall, Prescribed
+from warpcrete.kernels.common.types import types
+from warpcrete.kernels.dem.contact_law import contact_functions
 
 
 @functools.cache
@@ -132,10 +132,10 @@ def test_mindlin_stiffness_and_slip(start):
     steps = 1000
     stepper.take(steps + 1)
     root = math.sqrt(RADIUS / 2 * depth)
-    shear = np.linalg.norm(stepper.state.pair_history.numpy()[0])
+    shear = np.linalg.norm(stepper.state.pairs.history.numpy()[0])
     assert shear == pytest.approx(8 * 6e5 * root * creep * steps * dt, rel=1e-6)
     stepper.take(12000)
-    shear = np.linalg.norm(stepper.state.pair_history.numpy()[0])
+    shear = np.linalg.norm(stepper.state.pairs.history.numpy()[0])
     parted = (creep * 13000 * dt) ** 2 / (4 * RADIUS)  # the centres' distance grows on the way
     assert shear == pytest.approx(0.2 * 4 / 3 * 2e6 * math.sqrt(RADIUS / 2) * (depth - parted) ** 1.5, rel=1e-6)
 
@@ -159,7 +159,7 @@ def test_lubrication_layer_drags_with_yield_stress_and_viscosity(start, speed):
     stepper.advance(0.05)
     area, spring = math.pi * RADIUS**2, 1e5 * math.pi * RADIUS * 1e-4
     tau = 251.0 + 893.0 * speed
-    assert -stepper.state.wall_force.numpy()[0, 0] == pytest.approx(0.1 * spring + tau * area, rel=1e-6)
+    assert -stepper.state.walls.force.numpy()[0, 0] == pytest.approx(0.1 * spring + tau * area, rel=1e-6)
 
 
 def test_lubrication_layer_at_rest_holds_up_to_its_yield_stress(start):
@@ -178,8 +178,8 @@ def test_lubrication_layer_at_rest_holds_up_to_its_yield_stress(start):
         # The sphere would roll: hold its spin, so that only sliding is left.
         while stepper.time < 2.0:
             stepper.take(1)
-            stepper.state.body_spin.zero_()
-            stepper.state.sphere_spin.zero_()
+            stepper.state.bodies.spin.zero_()
+            stepper.state.spheres.spin.zero_()
         speeds.append(by_id(stepper.state, "body_velocity")[0, 0])
     assert abs(speeds[0]) < 1e-6
     assert speeds[1] == pytest.approx(0.2 * 50.0 / 100.0, rel=5e-3)  # what is left after the drag has built up
@@ -194,7 +194,7 @@ def test_mortar_yields_flows_and_hands_over_to_the_core(start):
     for depth in (0.05 * RADIUS, 0.15 * RADIUS):
         stepper = start(sheared_wall(law, depth=depth, speed=0.2, dt=2e-6))
         stepper.advance(0.05)
-        force = stepper.state.wall_force.numpy()[0]
+        force = stepper.state.walls.force.numpy()[0]
         core = 1e6 * area / RADIUS * max(depth - shell, 0)
         normal = 2e4 * area / shell * depth + core
         shear = 0.3 * core + 80.0 * area + 3.0 * area / shell * 0.2

@@ -15,9 +15,8 @@ import pytest
 import trimesh
 
 import warpcrete
-from warpcrete import scenes
+from warpcrete import Simulation, scenes
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.dem.simulation import Simulation
 
 # A thin, short pipe that runs in seconds.
 SMALL = dict(

@@ -8,14 +8,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from warpcrete import scenes
+from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError, WarpcreteError
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.restoring import state_hash
 from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
 from warpcrete.geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
-from warpcrete.dem.simulation import Simulation
 
 ANYTHING = st.one_of(
     st.floats(), st.integers(-10, 10**6), st.none(), st.text(max_size=4), st.booleans(), st.just(float("inf")),
@@ -138,8 +137,8 @@ def test_small_random_scenes_run_or_stop_with_our_own_error(scene):
     state = simulation.state
     for name in ("body_position", "body_velocity", "body_spin"):
         assert np.all(np.isfinite(getattr(state, name).numpy())), name
-    assert np.allclose(np.linalg.norm(state.body_orientation.numpy(), axis=1), 1, atol=1e-5)
-    assert sorted(state.body_id.numpy()) == list(range(state.body_count))
+    assert np.allclose(np.linalg.norm(state.bodies.orientation.numpy(), axis=1), 1, atol=1e-5)
+    assert sorted(state.bodies.id.numpy()) == list(range(state.body_count))
     for column in ("kinetic_energy", "elastic_energy", "bond_energy"):
         assert np.all(run.series[column] >= 0)
     if scene.energy_balance and state.body_count:

@@ -42,7 +42,7 @@ def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
     assert rows[0]["plateau_pressure"] == pytest.approx(np.mean(seeds))
     assert rows[0]["plateau_pressure_scatter"] == pytest.approx(np.std(seeds, ddof=1))
     # A case holds the bits of the same scene run alone.
-    from warpcrete.dem.simulation import Simulation
+    from warpcrete import Simulation
 
     case = study.cases[2]
     single = Simulation(scenes.pipe(**case.parameters), device=device, threads=1).run()

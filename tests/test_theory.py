@@ -8,7 +8,18 @@ from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
-from warpcrete.mps.theory import CONCRETES, FORMS, Concrete, Line, flow_of_pressure, kaplan, slip_constants, steady, steady_of_stress, velocity
+from warpcrete.mps.theory import (
+    CONCRETES,
+    FORMS,
+    Concrete,
+    Line,
+    flow_of_pressure,
+    kaplan,
+    slip_constants,
+    steady,
+    steady_of_stress,
+    velocity,
+)
 
 LINE = Line()
 FLOW = 1500e-6

@@ -7,15 +7,15 @@ import pytest
 from conftest import by_id, pair_history
 from test_contacts import flowing_scene, small_packing
 
-from warpcrete import scenes
-from warpcrete.dem.clumps import ClumpTemplate
-from warpcrete.core.errors import SceneError
+from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device
+from warpcrete.core.errors import SceneError
+from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.clumps import ClumpTemplate
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep
-from warpcrete.dem.simulation import Simulation
-from warpcrete.dem.state import State, placed_bodies
+from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 
 SMALL = dict(
@@ -44,11 +44,11 @@ def test_any_number_of_threads_moves_the_same(packing, threads):
     """Bonds break and heal, contacts slip, lists are rebuilt and sorted (so pairs change chunks), all across chunks."""
     one, many = flow(packing, 1, sort_every=1), flow(packing, threads, sort_every=1)
     assert many.batch.threads == threads and len(many.state.chunks) == threads + 1
-    assert one.state.sphere_broken.numpy().sum() == many.state.sphere_broken.numpy().sum() > 10
+    assert one.state.spheres.broken.numpy().sum() == many.state.spheres.broken.numpy().sum() > 10
     # Sums in another order: rounding, grown by 400 steps.
     assert np.abs(by_id(one.state, "body_position") - by_id(many.state, "body_position")).max() < 1e-9
     singles, copies = pair_history(one.state), pair_history(many.state)
-    assert len(many.state.pair_other.numpy()[: many.state.pair_total]) > len(copies)  # some stand at both spheres
+    assert len(many.state.pairs.other.numpy()[: many.state.pair_total]) > len(copies)  # some stand at both spheres
     touching = {key for key, value in singles.items() if np.any(np.frombuffer(value[0]))}
     assert touching == {key for key, value in copies.items() if np.any(np.frombuffer(value[0]))}
     for quantity in ("contacts", "bonded", "elastic_energy", "bond_energy", "virial"):
@@ -93,7 +93,7 @@ def test_momentum_is_kept_across_chunks(packing):
     sums = body_sums(stepper.model, stepper.state)
     speed = np.linalg.norm(by_id(stepper.state, "body_velocity"), axis=1)
     assert speed.max() > 1e-4
-    assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.body_mass.numpy())
+    assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.bodies.mass.numpy())
 
 
 def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):

@@ -5,8 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from warpcrete import scenes
-from warpcrete.dem.simulation import Simulation
+from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
 
 pytestmark = pytest.mark.slow

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from conftest import by_id
 
-from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
@@ -30,7 +30,7 @@ def force_on_sphere(start, walls, position, contact=SMOOTH):
     )
     stepper = start(scene)
     stepper.take(1)
-    return -stepper.state.wall_force.numpy().reshape(-1, 3).sum(0)
+    return -stepper.state.walls.force.numpy().reshape(-1, 3).sum(0)
 
 
 def grid_plane(cells=6, width=0.012, skew=0.3):
@@ -155,7 +155,7 @@ def test_long_thin_triangles_push_along_their_normal(start, precision):
         )
         stepper = start(scene, precision)
         stepper.take(1)
-        force = -stepper.state.wall_force.numpy()[0]
+        force = -stepper.state.walls.force.numpy()[0]
         size = np.linalg.norm(force)
         assert abs(force[2]) < (1e-4 if precision == "float32" else 1e-12) * size
         assert K_WALL * 1e-3 * 0.999 <= size <= K_WALL * (1e-3 + 7e-5)
@@ -213,11 +213,11 @@ def test_prescribed_translation_and_rotation_follow_the_ramp(start):
     stepper = start(scene)
     stepper.advance(time)
     now = stepper.time
-    position = stepper.state.wall_position.numpy().reshape(-1, 3)
+    position = stepper.state.walls.position.numpy().reshape(-1, 3)
     assert position[0] == pytest.approx([0, 0, 0.3 * (now - ramp / 2)], abs=1e-12)
     angle = 2.0 * (now - 0.01 - ramp / 2)
     assert position[1] == pytest.approx([math.cos(angle), 0, math.sin(angle)], abs=1e-12)
-    assert stepper.state.wall_travel.numpy() == pytest.approx([0.3 * (now - ramp / 2), angle], rel=1e-12)
+    assert stepper.state.walls.travel.numpy() == pytest.approx([0.3 * (now - ramp / 2), angle], rel=1e-12)
 
 
 def test_moving_mesh_keeps_its_contacts(start):
@@ -236,8 +236,8 @@ def test_moving_mesh_keeps_its_contacts(start):
     )
     stepper = start(scene, skin=0.35 * RADIUS)
     stepper.advance(1.0)
-    lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.wall_position.numpy()[0, 2]
-    assert stepper.state.wall_position.numpy()[0, 2] > 10 * stepper.mesh_skin
+    lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
+    assert stepper.state.walls.position.numpy()[0, 2] > 10 * stepper.mesh_skin
     assert lift == pytest.approx(RADIUS - MASS * 9.81 / K_WALL, rel=1e-5)
 
 
@@ -260,10 +260,10 @@ def test_driven_plate_comes_to_rest_on_what_carries_it(start):
     )
     stepper = start(scene)
     stepper.advance(0.6)
-    sunk = 2 * RADIUS - stepper.state.wall_position.numpy()[1, 2]
+    sunk = 2 * RADIUS - stepper.state.walls.position.numpy()[1, 2]
     assert sunk == pytest.approx(2 * load / K_WALL, rel=1e-4)
-    assert stepper.state.wall_travel.numpy()[1] == pytest.approx(sunk, rel=1e-12)
-    force = stepper.state.wall_force.numpy()
+    assert stepper.state.walls.travel.numpy()[1] == pytest.approx(sunk, rel=1e-12)
+    force = stepper.state.walls.force.numpy()
     assert force[1] == pytest.approx([0, 0, load], rel=1e-4, abs=1e-9)
     assert force[0] == pytest.approx([0, 0, -load], rel=1e-4, abs=1e-9)
 
@@ -286,7 +286,7 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start):
     )
     stepper = start(scene)
     stepper.advance(0.05)
-    impulse, angular = stepper.state.wall_impulse.numpy()[0], stepper.state.wall_angular_impulse.numpy()[0]
+    impulse, angular = stepper.state.walls.impulse.numpy()[0], stepper.state.walls.angular_impulse.numpy()[0]
     change = MASS * (by_id(stepper.state, "body_velocity")[0] - [0, 0, -0.5])
     assert -impulse == pytest.approx(change, rel=1e-9, abs=1e-12)
     assert angular == pytest.approx(np.cross([0.2, 0, 0], impulse), rel=1e-9, abs=1e-12)
@@ -312,4 +312,4 @@ def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
         stepper.advance(stepper.time + 0.004)
         energy = body_sums(stepper.model, stepper.state).kinetic_energy
         energy += contact_sums(stepper.model, stepper.state).elastic_energy
-        assert stepper.state.wall_work.numpy()[0] == pytest.approx(energy, rel=5e-3)
+        assert stepper.state.walls.work.numpy()[0] == pytest.approx(energy, rel=5e-3)

@@ -32,7 +32,9 @@ def serial_scale(scalar):
     """Factor that gives weights a wanted sum, on a CPU: a kernel of one task."""
 
     @wp.kernel(enable_backward=False, module="unique")
-    def scale_alone(count: wp.int32, wanted: wp.float64, weight: wp.array(dtype=scalar), factor: wp.array(dtype=wp.float64)):
+    def scale_alone(
+        count: wp.int32, wanted: wp.float64, weight: wp.array(dtype=scalar), factor: wp.array(dtype=wp.float64)
+    ):
         sum = wp.float64(0.0)
         for i in range(count):
             sum += wp.float64(weight[i])

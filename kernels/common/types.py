@@ -10,6 +10,7 @@ SPAN = 1024
 """Bodies that one task of a CPU kernel takes in a loop of its own: Warp loads a kernel's arguments anew for each task,
 which costs 10 to 20 ns. On a GPU a task is a thread, with one body."""
 
+
 @functools.cache
 def types(scalar):
     """Vector, matrix and quaternion types of one scalar type (``wp.float32`` or ``wp.float64``)."""

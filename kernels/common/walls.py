@@ -62,9 +62,7 @@ def wall_functions(scalar):
     safe_normalize = vector_functions(scalar).safe_normalize
 
     @wp.func
-    def distance_to_wall(
-        wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3
-    ):
+    def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
         """Distance of `x` to the surface of a wall that is at `place`, turned to `normal`; negative behind it [m].
 
         Also a vector that points to the nearest place of the surface, of any length.

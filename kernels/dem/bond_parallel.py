@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 
-from .contact_law import contact_functions
 from ..common.types import types, vector_functions
+from .contact_law import contact_functions
 
 # State of a contact's bond. Positive values number the bond properties in use.
 UNBONDED = wp.constant(0)

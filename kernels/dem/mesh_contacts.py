@@ -9,7 +9,6 @@ minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surf
 
 import functools
 import math
-from types import SimpleNamespace
 
 import warp as wp
 
@@ -77,7 +76,7 @@ def minimum_function(scalar):
 
 @functools.cache
 def face_function(scalar):
-    """`touch_of_face`: whether a sphere touches a surface on one of its faces, the normal into the wall, and the gap."""
+    """`touch_of_face`: whether a sphere touches a surface on one of its faces, the normal into the wall, the gap."""
     t = types(scalar)
     structs = array_structs(scalar)
     Slots, Walls = structs.Slots, structs.Walls
@@ -246,9 +245,7 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
                             history = slots.history[i, analytic + o]
                 gap = gaps[s]
                 touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
-                f, new_history, lost = contact_force(
-                    wall_parameters[row + walls.table[w].material], touch, history, dt
-                )
+                f, new_history, lost = contact_force(wall_parameters[row + walls.table[w].material], touch, history, dt)
                 histories[s] = new_history
                 total_lost += wp.float64(lost)
                 total_force += f

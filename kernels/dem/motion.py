@@ -347,9 +347,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, d
                 place = x + arm
                 carried = velocity + wp.cross(spin, arm)
                 radius = offset[3] * size
-                if outgrows_lists(
-                    scenes, scene, place, radius, read_vec4(spheres.built, s), drift, wp.static(meshes)
-                ):
+                if outgrows_lists(scenes, scene, place, radius, read_vec4(spheres.built, s), drift, wp.static(meshes)):
                     flags[scene, LATE] = 1
                 write_vec4(spheres.position, s, pack(place, radius))
                 write_vec4(spheres.velocity, s, pack(carried, mass))

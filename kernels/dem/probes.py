@@ -269,9 +269,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
             towards = half_step
             known = slot < scenes.row[s].analytic
             if known:
-                distance, direction = distance_to_wall(
-                    walls.table[w], segments, walls.position[w], walls.normal[w], x
-                )
+                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
                 n = into_wall(walls.table[w], direction)
                 overlap = radius - distance
             else:

@@ -275,7 +275,7 @@ def list_kernels(scalar):
         start: wp.array(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),
     ):
-        """Row starts of the stale scenes from a scan over all; the last row of a scene tells how many entries it has."""
+        """Row starts of the stale scenes from a scan over all; a scene's last row tells how many entries it has."""
         e = wp.tid()
         s = slot_scene[e]
         if flags[s, STALE] == 0:
@@ -286,9 +286,7 @@ def list_kernels(scalar):
             total[s] = scanned[e] - scanned[begin]
 
     @wp.kernel(module="unique", enable_backward=False)
-    def drift(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)
-    ):
+    def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
         """Sum of velocities of a part of a scene's spheres."""
         s, lane = wp.tid()
         if flags[s, STALE] == 0:
@@ -303,9 +301,7 @@ def list_kernels(scalar):
         lanes[s, lane] = total
 
     @wp.kernel(module="unique", enable_backward=False)
-    def clear_stale(
-        lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls
-    ):
+    def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
         """One thread a scene: the lists are as new; go on, unless the goal is reached."""
         s = wp.tid()
         if flags[s, STALE] == 0:

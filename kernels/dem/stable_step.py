@@ -242,9 +242,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         arm_i = xi - bodies.position[scenes.row[s].bodies + spheres.body[i]]
         hurry(estimate.fastest, s, wp.length(velocity_i))
-        sums = add_pairs(
-            i, s, first, last, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
-        )
+        sums = add_pairs(i, s, first, last, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate)
         first_wall = scenes.row[s].walls
         for w in range(first_wall, first_wall + scenes.row[s].wall_count):
             surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
@@ -254,9 +252,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
             n = t.vec3()  # into the wall
             overlap = scalar(-1.0)
             if slot < scenes.row[s].analytic:
-                distance, direction = distance_to_wall(
-                    walls.table[w], segments, walls.position[w], walls.normal[w], xi
-                )
+                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)
                 n = into_wall(walls.table[w], direction)
                 overlap = radius_i - distance
             else:

@@ -180,7 +180,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def parallel_start(scalar, dimensions: int, vector: bool):
-    """Kernels `begin` and `ready`, launched in whole blocks: the first direction, and whether there is anything to do."""
+    """Kernels `begin` and `ready`, launched in whole blocks: the first direction, and whether there is work to do."""
     f = solver_functions(scalar, dimensions, vector)
     Solve = f.Solve
     Flow = flow_struct(scalar)
@@ -254,9 +254,7 @@ def parallel_iteration(scalar, dimensions: int, vector: bool):
         keep(i, system.partial, 2 * blocks, pq)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def update(
-        flow: Flow, blocks: wp.int32, now: wp.int32, matrix: Matrix, system: Solve, x: wp.array(dtype=value)
-    ):
+    def update(flow: Flow, blocks: wp.int32, now: wp.int32, matrix: Matrix, system: Solve, x: wp.array(dtype=value)):
         if system.going[0] == 0:
             return
         i = wp.tid()

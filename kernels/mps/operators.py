@@ -206,7 +206,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
 @functools.cache
 def wall_law_function(scalar, dimensions: int):
-    """`wall_force`: a force less that of the slip layer, the layer's resistance to more speed, and the wall's stress."""
+    """`wall_force`: a force less that of the slip layer, the layer's resistance to more speed, the wall's stress."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)

@@ -74,9 +74,7 @@ def velocities_kernel(scalar, dimensions: int):
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def velocities(
-        flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, fields: Fields, grains: Grains
-    ):
+    def velocities(flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, fields: Fields, grains: Grains):
         if flags[HALTED] != 0:
             return
         g = wp.tid()

@@ -85,7 +85,8 @@ def run(
     scene = module.scene(**parameters)
     other = _pipeline_checked(scene, settings)
     display = method_of(scene).display
-    look = Look(settings["colour"], settings["network"], True if settings["live"] == "spawn" else settings["live"] or False)
+    live = True if settings["live"] == "spawn" else settings["live"] or False
+    look = Look(settings["colour"], settings["network"], live)
     if look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-
 from .display import Display
 from .run_loop import Run, Simulation
 from .units import number, quantity, shown
@@ -103,5 +102,3 @@ def run_in_turn(
             outcomes.append(error)
         progress("running", (done + 1) / len(simulations))
     return outcomes
-
-

@@ -143,7 +143,7 @@ def declared_fields(owner: type) -> dict[str, Field]:
     defaults = {f.name: f.default for f in dataclasses.fields(owner)}
     for base in [*own[1:], owner]:
         group = (inspect.getdoc(base) or "").partition("\n")[0]
-        for name in base.__dict__.get("__annotations__", {}):
+        for name in inspect.get_annotations(base):
             if name in defaults and hasattr(hints[name], "__metadata__") and name not in found:
                 kind, text, *rules = get_args(hints[name])
                 optional = get_origin(kind) in (Union, types.UnionType)

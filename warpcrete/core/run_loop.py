@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import time as wall_clock
 import warnings
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -109,7 +109,10 @@ class Run:
         return f"<table>{''.join(rows)}</table>"
 
 
-class Simulation(ABC):
+S = TypeVar("S", bound="Simulation")
+
+
+class Simulation:
     """A scene on a device, with recorders, from t = 0 to its end. The scene's type says by which method.
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
@@ -133,15 +136,16 @@ class Simulation(ABC):
         if "scene_type" in cls.__dict__:
             Simulation.kinds.append(cls)
 
-    def __new__(cls, scene: Any, **settings: Any) -> Simulation:
+    def __new__(cls: type[S], scene: Any, **settings: Any) -> S:
+        kind: Any = cls
         if cls is Simulation:
-            cls = next((kind for kind in Simulation.kinds if isinstance(scene, kind.scene_type)), cls)
-        wanted = getattr(cls, "scene_type", None)
+            kind = next((kind for kind in Simulation.kinds if isinstance(scene, kind.scene_type)), cls)
+        wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
-            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}",
-                   "warpcrete.Simulation takes both" if wanted else "warpcrete.scenes has functions that make some")  # fmt: skip
-        return super().__new__(cls)
+            hint = "warpcrete.Simulation takes both" if wanted else "warpcrete.scenes has functions that make some"
+            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
+        return super().__new__(kind)
 
     def __init__(
         self,
@@ -267,9 +271,9 @@ class Simulation(ABC):
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
         """The `state_dict` of a checkpoint; clocks go on from there."""
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
-        self._resumed = contents["run"]
-        self._samples, self._next_frame = self._resumed["samples"], self._resumed["next_frame"]
-        self._spent = self._resumed["spent"]
+        self._resumed = run = contents["run"]
+        self._samples, self._next_frame = run["samples"], run["next_frame"]
+        self._spent = run["spent"]
         self._ran_before = self._spent["running"]
         return contents
 
@@ -368,7 +372,8 @@ class Simulation(ABC):
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except (OSError, RunFolderError) as error:  # a full disk must not end the run; the one before is still there
+            # A full disk must not end the run; the checkpoint before is still there.
+            except (OSError, RunFolderError) as error:
                 warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
         self._saved = wall_clock.perf_counter()
 

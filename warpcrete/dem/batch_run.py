@@ -149,9 +149,7 @@ def _packing_key(simulation: ElementSimulation) -> tuple:
     return fingerprint(scene.fill), fingerprint(scene.contact), scene.seed, simulation.precision, str(simulation.device)
 
 
-def _packed(
-    simulations: Sequence[ElementSimulation], tell: Callable[[float], None]
-) -> dict[tuple, tuple[Any, float]]:
+def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
     """Every different packing once: what :func:`pack_many` returned for it, and its part of the time it took [s]."""
     needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
     kinds: dict[tuple, list[tuple]] = {}

@@ -6,7 +6,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.display import GLASS, OTHER, PISTON, Curve, Display, DrawnWall, Plot, Pose, Prototype, RigidBodies, on_palette
+from ..core.display import (
+    GLASS,
+    OTHER,
+    PISTON,
+    Curve,
+    Display,
+    DrawnWall,
+    Plot,
+    Pose,
+    Prototype,
+    RigidBodies,
+    on_palette,
+)
 from ..geometry.walls import Prescribed
 from .probes import largest_forces, listed_pairs
 
@@ -29,7 +41,7 @@ class ElementDisplay(Display):
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Value at the top of the colour scale: 1.5 times the steady speed, the largest size, a strong contact force."""
+        """Top of the colour scale: 1.5 times the steady speed, the largest size, a strong contact force."""
         scene = self.simulation.scene
         largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
         if self.colouring == "size":
@@ -87,9 +99,7 @@ class ElementDisplay(Display):
         for number in self._drawn:
             wall = self.simulation.model.walls[number]
             vertices, faces = wall.drawn()
-            found.append(
-                DrawnWall(wall.name, vertices, faces, wall.motion is not None, COLOURS.get(wall.name, OTHER))
-            )
+            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, COLOURS.get(wall.name, OTHER)))
         return found
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:

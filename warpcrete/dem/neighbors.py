@@ -155,9 +155,7 @@ class NeighborLists:
                 return launches
             room = np.maximum(self._room, wanted + wanted // 4)
             if np.any(wanted < 0) or room.sum() > MOST_ENTRIES:
-                raise CapacityError(
-                    f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can count"
-                )
+                raise CapacityError(f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can count")
             self._room = room
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()

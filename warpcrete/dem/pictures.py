@@ -78,8 +78,8 @@ def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int =
     drawn = None
     for axes, (name, run), speed in zip(all_axes, many.items(), speeds, strict=True):
         centres, diameters, values = [], [], []
-        for number, template in enumerate(run.bodies.templates):
-            chosen = run.bodies.template == number
+        for shape, template in enumerate(run.bodies.templates):
+            chosen = run.bodies.template == shape
             size, q = run.bodies.size[chosen], run.bodies.orientation[chosen]
             for offset, radius in zip(template.offsets, template.radii, strict=True):
                 centres.append(run.bodies.position[chosen] + rotate(q, size[:, None] * offset))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from itertools import pairwise
 from typing import Any
 
@@ -124,7 +123,8 @@ def _launch(state: State, kernel: Any, dim: int, **named: Any) -> None:
     """Launch over one scene of a batch; parameters that are not named are the batch's attributes of their names."""
     batch = state.batch
     given = {"s": state.index, **named}
-    launch(kernel, dim, batch.device, **{n: given[n] if n in given else getattr(batch, n) for n in parameter_names(kernel)})
+    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
+    launch(kernel, dim, batch.device, **bound)
 
 
 def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:

@@ -154,7 +154,8 @@ def _level(of):
 
 
 QUANTITIES = (
-    Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure", _peak_words, True),
+    Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
+             _peak_words, True),
     Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
     Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",
              _plateau_words, True),
@@ -176,7 +177,10 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
         yield "pressure at the end", f"{end / 1e3:.2f} kPa"
     packing = run.packing  # type: ignore[attr-defined]
     if packing:
-        yield "packing", (
-            f"{packing.bodies} aggregates, solid fraction {packing.solid_fraction:.3f}, "
-            f"{packing.coordination_number:.1f} neighbours each"
+        yield (
+            "packing",
+            (
+                f"{packing.bodies} aggregates, solid fraction {packing.solid_fraction:.3f}, "
+                f"{packing.coordination_number:.1f} neighbours each"
+            ),
         )

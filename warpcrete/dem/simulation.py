@@ -6,7 +6,7 @@ import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.method import results_of
 from ..core.provenance import provenance
@@ -44,6 +44,10 @@ class ElementSimulation(Simulation):
 
     scene_type = Scene
     scene: Scene
+
+    if TYPE_CHECKING:
+
+        def run(self) -> ElementRun: ...
 
     def set_up(self) -> None:
         """The model."""
@@ -182,9 +186,7 @@ class ElementSimulation(Simulation):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from a `state_dict`, alone."""
         self.restore(state)
-        stepper = Stepper(
-            self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"]
-        )
+        stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)
         self.go_on(state)
 

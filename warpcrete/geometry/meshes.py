@@ -193,9 +193,7 @@ def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))
 
 
-def bore_probes(
-    mesh: Any, axis: Axis, radius: float, end: float, around: int = 12, begin: float = 0.0
-) -> np.ndarray:
+def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 12, begin: float = 0.0) -> np.ndarray:
     """Distances [m] from an axis between two arc lengths to the mesh, -1 where there is none.
 
     `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3), `radius` what is expected. The result has a row for

@@ -30,9 +30,9 @@ def twice(radius: Any) -> Any:
 class ConcreteParameters:
     """Concrete."""
 
-    concrete: Annotated[
-        str, "no1, no2, no3 (Xu et al. 2021), or own with the five constants below", Alias("mix")
-    ] = "no1"
+    concrete: Annotated[str, "no1, no2, no3 (Xu et al. 2021), or own with the five constants below", Alias("mix")] = (
+        "no1"
+    )
     density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's"] = None
     viscosity: Annotated[float | None, "plastic viscosity [Pa s]"] = None
     yield_stress: Annotated[float | None, "[Pa]"] = None
@@ -45,9 +45,9 @@ class ConcreteParameters:
 class ColumnParameters:
     """Pipe and piston."""
 
-    diameter: Annotated[
-        float, "inner, of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)
-    ] = 0.1
+    diameter: Annotated[float, "inner, of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)] = (
+        0.1
+    )
     length: Annotated[float, "of the concrete [m]"] = 0.3
     flow: Annotated[float | None, "volume flow through a round pipe of the diameter [m3/s]; default 1500e-6"] = None
     pressure: Annotated[float | None, "on the piston instead of the flow [Pa]; theory gives its speed"] = None

@@ -11,6 +11,8 @@ from .scene import FluidScene
 
 LAYERS = 4
 """Of particles behind a wall, which stand in for the fluid there wherever neighbours are counted."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """Places of particles at the start, from the piston's middle; the last coordinate runs along the pipe."""

@@ -95,7 +95,8 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     theory = velocity(scene.concrete, scene.line, flow.theory, np.minimum(snap.distance[middle], scene.radius))
 
     area = section(flow)
-    mass = layout.volume * (scene.concrete.density if state.grains is None else state.particles.density.numpy().astype(float))
+    one = state.grains is None
+    mass = layout.volume * (scene.concrete.density if one else state.particles.density.numpy().astype(float))
     momentum = float(np.sum(mass * snap.velocity))
     change = 0.0
     if before is not None and flow.time > before["time"]:
@@ -104,7 +105,9 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
     residual = force - state.mass * scene.gravity - drag - change
-    surface = snap.height[flow.matrix.free.numpy() != 0] if flow.steps else np.array([layout.height - 0.5 * layout.spacing])
+    surface = np.array([layout.height - 0.5 * layout.spacing])
+    if flow.steps:
+        surface = snap.height[flow.matrix.free.numpy() != 0]
     row = {
         "time": flow.time,
         "travel": scene.velocity * flow.time,
@@ -131,7 +134,7 @@ def _window(part: np.ndarray) -> float:
 
 
 def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
-    """Volume fraction of coarse aggregate in the inner and outer half of the radius, the front and rear of the column."""
+    """Volume fraction of coarse aggregate in inner and outer half of the radius, front and rear of the column."""
     if flow.state.grains is None:
         return {}
     coarse = flow.state.grains.group >= 0

@@ -61,9 +61,7 @@ class FlowWatch(Declared):
     pressure: Annotated[
         float | None, "of the pressure by theory, how high or low that on the piston may be; None: no limit", Above()
     ] = 10.0
-    speed: Annotated[
-        float | None, "of the fastest particle, over the highest by theory; None: no limit", Above()
-    ] = 4.0
+    speed: Annotated[float | None, "of the fastest particle, over the highest by theory; None: no limit", Above()] = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +86,7 @@ class FlowSettings(Declared):
         "and in the 5 ms before",
         Above(),
     ] = 1e-3
-    precision: Annotated[
-        str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)
-    ] = "float32"
+    precision: Annotated[str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 5e-3
     seed: Annotated[int, "random seed, of the aggregate", Within(0)] = 0
 

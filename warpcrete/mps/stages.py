@@ -173,9 +173,7 @@ class _Part:
         goal = {"tolerance": tolerance, "small_enough": enough}
         if self.serial:
             chunk = {"part": self.part, "parts": p.threads, "first": self.first, "end": self.end}
-            return [
-                p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunk)
-            ]
+            return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunk)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
         body = []

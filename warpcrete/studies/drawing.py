@@ -64,7 +64,8 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
     if not numeric:
         axes.set_xticks(range(len(values)), [str(v) for v in values])
         axes.margins(x=0.2)
-    axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{drawn[0].title if len(drawn) == 1 else ''} [{unit}]")
+    title = drawn[0].title if len(drawn) == 1 else ""
+    axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{title} [{unit}]".lstrip())
     lower, upper = axes.get_ylim()
     if lower > 0:  # from zero on, but where a quantity has both signs
         axes.set_ylim(0, upper)

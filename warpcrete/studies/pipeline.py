@@ -20,17 +20,19 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 
 
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
-    """Refuse scenes that Eq. 13 says nothing of, and an `other` result, read from `source`, that does not go with it."""
+    """Refuse scenes that Eq. 13 says nothing of, and an `other` result, read from `source`, that does not fit."""
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
         refuse("pipeline", scene.name, "is Eq. 13 of straight units of discrete elements", "take the scene pipe")
     one_of("unit", pipe.name, STRAIGHT)
     if not past_ramp(scene, pipe.travel):
-        refuse("travel", pipe.travel, f"ends before the pressure has a plateau, by which Eq. 13 goes; the ramp is "
-               f"{pipe.ramp:g} m", f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp")  # fmt: skip
+        refuse(
+            "travel", pipe.travel, f"leaves the pressure no plateau, by which Eq. 13 goes (ramp {pipe.ramp:g} m)",
+            f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp",
+        )  # fmt: skip
     if other is not None:
         if "plateau_pressure" not in other or "concrete_length" not in other:
-            raise RunFolderError(f"pipeline_other = '{source}': is not the folder of a finished pipe run with a plateau")
+            raise RunFolderError(f"pipeline_other = '{source}': holds no finished pipe run with a plateau")
         one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
 
 

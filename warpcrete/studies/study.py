@@ -79,7 +79,7 @@ class Study:
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each set of varied values: mean and scatter (standard deviation) of the quantities over its seeds."""
+        """A row for each set of varied values: mean and standard deviation (scatter) of the quantities over seeds."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
@@ -154,17 +154,17 @@ def run_study(
     :class:`SceneError` before anything is written if any case makes no scene.
     """
     known = declared_fields(module.scene.parameters)
-    base = module.scene.resolved(base or {})
+    given: dict[str, Any] = module.scene.resolved(base or {})
     varied = _lists(module.scene, varied)
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
     if "precision" in known:
-        if "precision" in varied or base.get("precision", precision) != precision:
+        if "precision" in varied or given.get("precision", precision) != precision:
             refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
-        base = {**base, "precision": precision}
+        given["precision"] = precision
     defaults = {name: found.default for name, found in known.items()}
-    cases = cases_of(base, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time)
+    cases = cases_of(given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time)
     cases = _meaningful(module.scene, cases)
     positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
@@ -181,20 +181,20 @@ def run_study(
             "device": str(found),
             "precision": precision,
             "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
-            "provenance": provenance(found, precision, int(base.get("seed", 0))),
+            "provenance": provenance(found, precision, int(given.get("seed", 0))),
         },
     )
     return resume_study(out, module, processes=processes, progress=progress)
 
 
-def resume_study(
-    folder: Path, module: Any, *, processes: int | None = None, progress: Progress | None = None
-) -> Study:
+def resume_study(folder: Path, module: Any, *, processes: int | None = None, progress: Progress | None = None) -> Study:
     """Go on with a study: finished and failed cases stay as they are, begun ones go on from their checkpoints."""
     record = read_json(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
-        record["command"], record["device"]
+        missing = {"scene", "command", "device"} - set(record)
+        if missing:
+            raise KeyError(", ".join(sorted(missing)))
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
     method = method_of(module.scene(**cases[0].parameters))

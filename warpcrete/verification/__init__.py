@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core.errors import WarpcreteError
 from ..core.device import find_device
+from ..core.errors import WarpcreteError
+from ..dem.bodies import placed_bodies
 from ..dem.model import build_model
 from ..dem.scene import Scene
-from ..dem.state import State, placed_bodies
+from ..dem.state import State
 from ..dem.stepper import Stepper
 
 
@@ -71,7 +72,7 @@ def start(scene: Scene, device: str, precision: str) -> Stepper:
 
 def cases() -> list[Case]:
     """All cases, in the order of the table."""
-    from ..verification import assemblies, bonds, clumps, contacts, flows, impacts, stability
+    from . import assemblies, bonds, clumps, contacts, flows, impacts, stability
 
     modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows)
     return [case for module in modules for case in module.CASES]

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.axis import Axis, Line
-from ..dem.clumps import reference
-from ..dem.laws import Contact
-from ..dem.packing import Fill, PipeContainer
-from ..dem.scene import Bodies, Bonds, Scene, Settle, TimeStep
-from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
-from ..dem.simulation import Simulation
-from ..dem.sizes import Gaussian, Uniform
 from ..core.run_loop import Recorder
-from ..verification import Case, Row, start
+from ..dem.clumps import reference
+from ..dem.containers import Fill, PipeContainer
+from ..dem.laws import Contact
+from ..dem.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..dem.simulation import ElementSimulation
+from ..dem.sizes import Gaussian, Uniform
+from ..geometry.axis import Axis, Line
+from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
+from . import Case, Row, start
 
 UP = (0.0, 0.0, 1.0)
 
@@ -43,10 +43,10 @@ def cloud(device, precision) -> list[Row]:
     stepper.advance(0.05)
     after = _momenta(stepper.state)
     state = stepper.state
-    moved = float(np.sum(state.body_mass.numpy().astype(float) * np.linalg.norm(speeds, axis=1).mean()))
+    moved = float(np.sum(state.bodies.mass.numpy().astype(float) * np.linalg.norm(speeds, axis=1).mean()))
     turned = float(np.abs(before[2]).sum())
     tolerance = 3e-7 if precision == "float32" else 1e-14
-    slowed = float(np.linalg.norm(state.body_velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
+    slowed = float(np.linalg.norm(state.bodies.velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
     return [
         Row(
             f"momentum of {count} clumps over all that moves",
@@ -67,7 +67,7 @@ def cloud(device, precision) -> list[Row]:
 
 
 def _momenta(state):
-    order = np.argsort(state.body_id.numpy())
+    order = np.argsort(state.bodies.id.numpy())
     mass, x, v, turn = (
         getattr(state, f"body_{name}").numpy()[order].astype(float)
         for name in ("mass", "position", "velocity", "angular_momentum")
@@ -102,7 +102,9 @@ def pumping(device, precision) -> list[Row]:
     )  # fmt: skip
     errors, steps = [], []
     for safety in (0.8, 0.2):
-        run = Simulation(replace(scene, time_step=TimeStep(safety=safety)), device=device, precision=precision).run()
+        run = ElementSimulation(
+            replace(scene, time_step=TimeStep(safety=safety)), device=device, precision=precision
+        ).run()
         errors.append(run.result["energy_balance_error"])
         steps.append(run.result["steps"])
         broken = run.series["broken_tension"][-1] + run.series["broken_shear"][-1]
@@ -135,7 +137,7 @@ def janssen(device, precision) -> list[Row]:
         contact=Contact(effective_modulus=3e5, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut"),
     )  # fmt: skip
     gauge = _WallGauge(radius)
-    run = Simulation(scene, device=device, precision=precision, recorders=[gauge]).run()
+    run = ElementSimulation(scene, device=device, precision=precision, recorders=[gauge]).run()
     late = run.series["time"] > 0.5 * run.series["time"][-1]
     floor = float(-run.series["floor_force_z"][late].mean())
     shear = float(-run.series["pipe_force_z"][late].mean())
@@ -179,8 +181,8 @@ class _WallGauge(Recorder):
         self.radius = radius
         self.loads: list[float] = []
 
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        position = simulation.state.sphere_position.numpy().astype(float)
+    def sample(self, simulation: ElementSimulation, row: dict[str, float]) -> None:
+        position = simulation.state.spheres.position.numpy().astype(float)
         overlap = np.hypot(position[:, 0], position[:, 1]) + position[:, 3] - self.radius
         modulus = simulation.scene.contact.stress_scale
         self.loads.append(float(np.sum(np.maximum(overlap, 0) * modulus * math.pi * position[:, 3])))
@@ -200,7 +202,7 @@ def repose(device, precision) -> list[Row]:
             contact=replace(rough, friction=friction),
             contacts={("aggregate", "wall"): rough},
         )  # fmt: skip
-        run = Simulation(scene, device=device, precision=precision).run()
+        run = ElementSimulation(scene, device=device, precision=precision).run()
         angles.append(_slope(run.bodies.position, float(run.bodies.volume.sum()) / 0.6))
     REPOSE.curves.update(friction=np.array(values), angle=np.array(angles))
     shown = ", ".join(f"{a:.1f}" for a in angles)

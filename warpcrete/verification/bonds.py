@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ..geometry.axis import Axis, Line
 from ..dem.laws import Contact
 from ..dem.scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
-from ..verification import Case, Row, start
+from ..geometry.axis import Axis, Line
+from . import Case, Row, start
 
 RADIUS, DENSITY, GAP = 0.01, 2500.0, 1e-6
 LENGTH = 2 * RADIUS
@@ -49,8 +49,8 @@ def cantilever(device, precision) -> list[Row]:
         stepper.bond(bonds, 1)
         stepper.change(local_damping=0.3)
         stepper.advance(3.0)
-        order = np.argsort(stepper.state.body_id.numpy())
-        tip = stepper.state.body_position.numpy()[order][-1].astype(float) - points[-1]
+        order = np.argsort(stepper.state.bodies.id.numpy())
+        tip = stepper.state.bodies.position.numpy()[order][-1].astype(float) - points[-1]
         if label == "tension":
             rows.append(
                 Row(
@@ -84,7 +84,7 @@ def torsion(device, precision) -> list[Row]:
     for turns in (1 / 3, 10 + 1 / 3):
         stepper.advance(turns * 2 * math.pi / omega)
         middle = omega * (stepper.time - 0.5 * stepper.dt)
-        spin = float(stepper.state.body_spin.numpy()[np.argsort(stepper.state.body_id.numpy())][1, 0])
+        spin = float(stepper.state.bodies.spin.numpy()[np.argsort(stepper.state.bodies.id.numpy())][1, 0])
         rows.append(
             Row(f"spin after {turns:.2f} periods of torsion", spin, 5.0 * math.cos(middle), 6e-5, "rad/s", scale=5.0)
         )
@@ -143,7 +143,7 @@ def breakage(device, precision) -> list[Row]:
         last = 0.0
         for _ in range(2600):
             stepper.take(1)
-            if stepper.state.sphere_broken.numpy().sum(0)[flag]:
+            if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(array.numpy()[0, component]))
         # Within one step's growth of the load, which is 5e-4 of it; where steps and load commensurate, exactly.

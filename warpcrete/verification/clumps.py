@@ -8,7 +8,7 @@ import numpy as np
 
 from ..dem.clumps import clump, reference
 from ..dem.scene import Bodies, Scene, TimeStep
-from ..verification import Case, Row, start
+from . import Case, Row, start
 
 
 def union_properties(device, precision) -> list[Row]:
@@ -72,15 +72,15 @@ def tumbling(device, precision) -> list[Row]:
     before = 1.0
     for number in range(steps // chunk):
         stepper.take(chunk)
-        spin = stepper.state.body_spin.numpy()[0].astype(float)
-        turned = _inverse_rotated(stepper.state.body_orientation.numpy()[0].astype(float), spin)
+        spin = stepper.state.bodies.spin.numpy()[0].astype(float)
+        turned = _inverse_rotated(stepper.state.bodies.orientation.numpy()[0].astype(float), spin)
         worst = max(worst, abs(0.5 * float(inertia @ turned**2) / energy - 1))
         now = turned[axis]
         if now > 0 >= before:
             times.append((number + now / (now - before) * -1.0) * chunk * dt)
         before = now
     ours = float(np.diff(times).mean())
-    kept = stepper.state.body_angular_momentum.numpy()[0].astype(float)
+    kept = stepper.state.bodies.angular_momentum.numpy()[0].astype(float)
     drift = float(np.linalg.norm(kept - momentum) / np.linalg.norm(momentum))
     return [
         Row(

@@ -11,7 +11,7 @@ from ..dem.clumps import clump
 from ..dem.laws import Contact
 from ..dem.scene import Bodies, Bonds, Scene, TimeStep
 from ..geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
-from ..verification import Case, Row, start
+from . import Case, Row, start
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
@@ -48,7 +48,7 @@ def oscillator(device, precision) -> list[Row]:
                 t = step * dt
                 swing = math.cos(damped * t) + beta * omega / damped * math.sin(damped * t)
                 exact = rest - 0.6 * rest * math.exp(-beta * omega * t) * swing
-                overlap = RADIUS - float(stepper.state.body_position.numpy()[0, 2])
+                overlap = RADIUS - float(stepper.state.bodies.position.numpy()[0, 2])
                 worst = max(worst, abs(overlap - exact))
             errors.append(worst / rest)
         OSCILLATOR.curves[f"damping ratio {beta:g}"] = (end / np.array([100, 200, 400]) * omega, np.array(errors))
@@ -117,7 +117,7 @@ def rolling(device, precision) -> list[Row]:
 
 
 def _speed_and_spin(stepper) -> tuple[float, float]:
-    return float(stepper.state.body_velocity.numpy()[0, 0]), float(stepper.state.body_spin.numpy()[0, 1])
+    return float(stepper.state.bodies.velocity.numpy()[0, 0]), float(stepper.state.bodies.spin.numpy()[0, 1])
 
 
 def stick_slip(device, precision) -> list[Row]:
@@ -155,7 +155,7 @@ def stick_slip(device, precision) -> list[Row]:
     stepper = start(scene, device, precision)
     stepper.bond(spring, 1)
     stiffness = 1e4 * math.pi * small**2 / (RADIUS + small)
-    mass = float(stepper.state.body_mass.numpy().min())
+    mass = float(stepper.state.bodies.mass.numpy().min())
     omega = math.sqrt(stiffness / mass)
     slip = friction * press / (stiffness * speed)
     ripple = speed * math.sqrt(stiffness * mass)
@@ -168,7 +168,7 @@ def stick_slip(device, precision) -> list[Row]:
     ):
         stepper.advance(time)
         rows.append(
-            Row(f"force of the spring, {label}", float(stepper.state.pair_bond_force.numpy()[0, 3]), force, 5e-3, "N")
+            Row(f"force of the spring, {label}", float(stepper.state.pairs.bond_force.numpy()[0, 3]), force, 5e-3, "N")
         )
     return rows
 
@@ -198,9 +198,9 @@ def meshes(device, precision) -> list[Row]:
         stepper = start(scene, device, precision)
         worst = 0.0
         for _ in range(400):
-            place = stepper.state.body_position.numpy()[0].astype(float)
+            place = stepper.state.bodies.position.numpy()[0].astype(float)
             stepper.take(1)
-            force = np.linalg.norm(stepper.state.wall_force.numpy()[0])
+            force = np.linalg.norm(stepper.state.walls.force.numpy()[0])
             near = np.clip(place, -0.05, 0.05)
             overlap = max(RADIUS - float(np.linalg.norm(place - near)), 0.0)
             worst = max(worst, abs(force - STIFFNESS * overlap))

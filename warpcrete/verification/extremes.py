@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.axis import Axis, Line
 from ..core.errors import InstabilityError
 from ..dem.laws import Contact, damping_ratio
+from ..dem.quantities import free_energy
 from ..dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from ..dem.simulation import ElementSimulation
+from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
-from ..dem.series import free_energy
-from ..dem.simulation import Simulation
 
 STEPS = 2000
 ENERGY = 0.1  # of the energy in play that may appear in a run that counts as stable
@@ -89,7 +89,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
 
 def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
     """Run `steps` steps under the watch."""
-    simulation = Simulation(scene, device=device, precision=precision)
+    simulation = ElementSimulation(scene, device=device, precision=precision)
     stopped = ""
     try:
         simulation.prepare()

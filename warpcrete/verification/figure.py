@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..verification import Case, Row
+from . import Case, Row
 
 
 def draw(results: list[tuple[Case, list[Row]]]):

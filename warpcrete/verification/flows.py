@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ..mps.scene import Column, driven_column
+from ..mps.column import FlowParameters, column_scene
 from ..mps.simulation import FluidSimulation
 from ..mps.theory import CONCRETES
-from ..verification import Case, Row
+from . import Case, Row
 
 # Measured errors at 5 mm in the channel: pressure 0.0 to 0.1 %, slip velocity 0.03 to 0.1 %, profile 0.1 %; at 10 mm in
 # the tube 0.2, 0.3 and 0.3 %.
@@ -15,7 +15,8 @@ TUBE = {"pressure": 4e-3, "slip_velocity": 5e-3, "profile": 4e-3, "volume": 8e-4
 
 def _flow(dimensions: int, mix: str, device: str, precision: str) -> list[Row]:
     allowed = CHANNEL if dimensions == 2 else TUBE
-    scene = driven_column("flow", dimensions, Column(mix=mix), spacing=5e-3 if dimensions == 2 else 10e-3)
+    spacing = 5e-3 if dimensions == 2 else 10e-3
+    scene = column_scene("flow", dimensions, FlowParameters(concrete=mix, spacing=spacing))
     result = FluidSimulation(scene, device=device, precision=precision).run().result
     theory, pressure, slip = scene.theory(), result["pressure"]["value"], result["slip_velocity"]["value"]
     return [

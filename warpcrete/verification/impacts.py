@@ -10,7 +10,7 @@ import numpy as np
 from ..dem.laws import Contact, HertzMindlin, damping_ratio
 from ..dem.scene import Bodies, Scene, TimeStep
 from ..geometry.walls import PlaneWall
-from ..verification import Case, Row, start
+from . import Case, Row, start
 
 NO_GRAVITY = (0.0, 0.0, 0.0)
 SOURCE = "Chung & Ooi 2011"
@@ -56,8 +56,8 @@ def spheres_on_a_plane(law, radius, density, velocities, spins, device, precisio
     slowest = np.abs(velocities[:, 2]).min()
     stepper.advance(3.0 * _duration(law, radius, density, slowest))
     state = stepper.state
-    order = np.argsort(state.body_id.numpy())
-    return state.body_velocity.numpy()[order].astype(float), state.body_spin.numpy()[order].astype(float)
+    order = np.argsort(state.bodies.id.numpy())
+    return state.bodies.velocity.numpy()[order].astype(float), state.bodies.spin.numpy()[order].astype(float)
 
 
 def _duration(law: HertzMindlin, radius: float, density: float, speed: float) -> float:
@@ -109,9 +109,9 @@ def _peak(law, radius, density, speed, plane, device, precision):
     before, touching = -speed, 0
     while True:
         stepper.take(1)
-        order = np.argsort(stepper.state.body_id.numpy())
-        now = float(stepper.state.body_velocity.numpy()[order[0], 2])
-        height = float(stepper.state.body_position.numpy()[order[0], 2])
+        order = np.argsort(stepper.state.bodies.id.numpy())
+        now = float(stepper.state.bodies.velocity.numpy()[order[0], 2])
+        height = float(stepper.state.bodies.position.numpy()[order[0], 2])
         strongest = max(strongest, (now - before) * mass / dt if touching else 0.0)
         deepest = max(deepest, (radius - height) * (1 if plane else 2))
         before = now
@@ -153,7 +153,7 @@ def _linear_rebound(law: Contact, device, precision) -> float:
     )  # fmt: skip
     stepper = start(scene, device, precision)
     stepper.advance(4 * period)
-    return float(stepper.state.body_velocity.numpy()[0, 2]) / speed
+    return float(stepper.state.bodies.velocity.numpy()[0, 2]) / speed
 
 
 def oblique(device, precision) -> list[Row]:
@@ -261,9 +261,9 @@ def spinning(device, precision) -> list[Row]:
         )  # fmt: skip
         stepper = start(scene, device, precision)
         stepper.advance(5 * _duration(law, radius, 2700.0, normal))
-        order = np.argsort(stepper.state.body_id.numpy())[:3]
-        found = stepper.state.body_velocity.numpy()[order].astype(float)
-        turned = stepper.state.body_spin.numpy()[order].astype(float)
+        order = np.argsort(stepper.state.bodies.id.numpy())[:3]
+        found = stepper.state.bodies.velocity.numpy()[order].astype(float)
+        turned = stepper.state.bodies.spin.numpy()[order].astype(float)
         label = {7: "test 7, equal spheres", 8: "test 8, on a sphere 5 times as large, 1000 times as dense"}[number]
         rows.append(_worst(f"{label}: tangential velocity", -found[:, 0], np.full(3, impulse), 3e-3, "m/s"))
         rows.append(

@@ -7,19 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.axis import Axis, Line
-from ..dem.clumps import ClumpTemplate, reference, sphere
-from ..core.errors import InstabilityError
-from ..dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
 from ..core.device import find_device
+from ..core.errors import InstabilityError
+from ..dem.bodies import BodyTable, placed_bodies
+from ..dem.clumps import ClumpTemplate, reference, sphere
+from ..dem.containers import Fill, PipeContainer
+from ..dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
 from ..dem.model import build_model
-from ..dem.packing import Fill, PipeContainer, pack
+from ..dem.packing import pack
 from ..dem.probes import body_sums, contact_sums
 from ..dem.scene import Bodies, Bonds, Scene, TimeStep
 from ..dem.sizes import Uniform
-from ..dem.state import BodyTable, State, placed_bodies
+from ..dem.state import State
 from ..dem.stepper import Stepper
-from ..verification import Case, Row
+from ..geometry.axis import Axis, Line
+from . import Case, Row
 
 STEPS = 3000
 CHUNK = 30

@@ -1,3 +1,4 @@
+# pyright: reportInvalidTypeForm=false
 """Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
 
 Dashpots after Tsuji et al. 1992 in the form of Antypov & Elliott 2011, whose restitution coefficient does not

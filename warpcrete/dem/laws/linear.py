@@ -1,3 +1,4 @@
+# pyright: reportInvalidTypeForm=false
 """Linear contact law (Zhan et al. 2019, Eqs. 5-8; conventions of PFC 5.0)."""
 
 from dataclasses import dataclass, replace
@@ -19,8 +20,9 @@ DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 class Contact(ContactLaw):
     """Linear contact between two materials: spring, Coulomb slider, dashpots of critical ratio; the default law."""
 
-    effective_modulus: Annotated[float, "E* [Pa]; k_n = A E*/L with A = pi r^2, r the smaller radius, L the distance of "
-                                 "the centres at touch", Above()] = 1e5  # fmt: skip
+    effective_modulus: Annotated[
+        float, "E* [Pa]; k_n = A E*/L with A = pi r^2, r the smaller radius, L the centres' distance at touch", Above()
+    ] = 1e5
     stiffness_ratio: Annotated[float, "k_n / k_s", Above(), OnDevice("shear_to_normal", lambda r: 1.0 / r)] = 2.0
     friction: Annotated[float, "Coulomb coefficient", Within(0)] = 0.05
     normal_damping_ratio: Annotated[float, "normal dashpot over the critical one; see damping_ratio", Within(0)] = 0.5

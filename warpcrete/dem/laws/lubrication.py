@@ -1,3 +1,4 @@
+# pyright: reportInvalidTypeForm=false
 """Linear contact with a lubrication layer in shear: yield stress and viscous drag (Xu, Li & Jiang 2021, Eq. 8).
 
 On a wall, the layer that pumped concrete leaves there: shear stress tau = tau_L0 + eta_L V at slip velocity V,
@@ -5,7 +6,7 @@ on the area A = pi r^2 of every contact. The yield part adds to the slider of th
 rest carries any stress up to tau_L0.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,7 +25,7 @@ class LubricationLayer(ContactLaw):
 
     called = "layer"
 
-    contact: Annotated[Contact, "spring, dashpot and friction"] = Contact()
+    contact: Annotated[Contact, "spring, dashpot and friction"] = field(default_factory=Contact)
     yield_stress: Annotated[float, "tau_L0 [Pa], on pi r^2 of every contact", Within(0)] = 0.0
     viscosity: Annotated[float, "eta_L [Pa s/m], viscosity of the layer over its thickness", Within(0)] = 0.0
 

@@ -1,3 +1,4 @@
+# pyright: reportInvalidTypeForm=false
 """Aggregates in a shell of Bingham mortar: a hard core in a soft shell (idea: Remond & Pizette 2014).
 
 A sphere's radius includes its shell. Where only shells overlap, mortar transmits a weak spring, a yield stress
