@@ -15,7 +15,7 @@ import warp as wp
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
-from warpcrete.dem.batch_run import run_together
+from warpcrete.dem.batch_run import run_batch
 
 # Zhan et al. 2019, section 5.2: each parameter alone, on unit D unless its own is named.
 STUDY = {
@@ -49,7 +49,7 @@ def prepared(count: int, device: str) -> list[Simulation]:
         )
         for k in range(count)
     ]
-    for outcome in run_together(simulations):
+    for outcome in run_batch(simulations):
         if not isinstance(outcome, Run):
             raise outcome
     return simulations
@@ -73,7 +73,7 @@ def main() -> None:
     first = None
     for size in arguments.sizes:
         simulations = prepared(size, arguments.device)
-        from warpcrete.dem.stepper import drive
+        from warpcrete.dem.scheduling import drive
 
         took = []
         for _ in range(arguments.repeats):
@@ -104,7 +104,7 @@ def whole_study(device: str, cases: list[dict]) -> None:
     """Run all cases to their ends and print what they came to."""
     simulations = [Simulation(scenes.pipe(**case), device=device, threads=1) for case in cases]
     begun = time.perf_counter()
-    outcomes = run_together(simulations)
+    outcomes = run_batch(simulations)
     took = time.perf_counter() - begun
     spent = [s._spent for s in simulations]
     running = {}

@@ -62,7 +62,7 @@ def pair_history(state) -> dict:
 
 def by_id(state, name: str) -> np.ndarray:
     """A body array in the order of permanent numbers."""
-    return getattr(state, name).numpy()[np.argsort(state.bodies.id.numpy())]
+    return getattr(state.bodies, name).numpy()[np.argsort(state.bodies.id.numpy())]
 
 
 def verification(module):

@@ -1,6 +1,7 @@
 """Batches: a scene alone and among others holds the same bits; what ends or fails costs and harms no other."""
 
 import dataclasses
+import operator
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run_loop import Recorder, Run
-from warpcrete.dem.batch_run import run_together
+from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.memory import bytes_per_body, check_memory, memory_needed
 from warpcrete.dem.model import build_model
@@ -37,7 +38,7 @@ def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision):
     """Clumps, bonds that heal, a spinning mesh, a driven plate; scenes that end at different times."""
     some = [dataclasses.replace(mixed_scene(seed), duration=0.02 + 0.01 * seed) for seed in (0, 1, 2, 3)]
     together = simulate(device, some, precision=precision)
-    batched = run_together(together)
+    batched = run_batch(together)
     assert len({id(s.stepper.batch) for s in together}) == 1
     for one, other in zip(alone(device, some, precision=precision), batched):
         assert isinstance(other, Run) and other.finished
@@ -49,7 +50,7 @@ def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision):
 
 def test_pumping_cases_pack_settle_and_run_in_a_batch_as_alone(device):
     some = [scenes.pipe(velocity=v, seed=s, **SMALL) for v, s in ((0.3, 0), (0.6, 0), (0.6, 1))]
-    batched = run_together(simulate(device, some))
+    batched = run_batch(simulate(device, some))
     for one, other in zip(alone(device, some), batched):
         assert isinstance(other, Run) and other.finished
         assert one.result["state_hash"] == other.result["state_hash"]
@@ -69,7 +70,7 @@ def falling(speed: float, **changes) -> Scene:
 
 def test_a_scene_that_fails_harms_no_other(device):
     some = [falling(0.1), falling(3.0, watch=Watch(speed=2.0)), falling(0.2)]
-    batched = run_together(simulate(device, some))
+    batched = run_batch(simulate(device, some))
     assert isinstance(batched[1], InstabilityError) and "watch.speed" in str(batched[1])
     for k in (0, 2):
         assert isinstance(batched[k], Run) and batched[k].finished
@@ -79,7 +80,7 @@ def test_a_scene_that_fails_harms_no_other(device):
 def test_a_finished_scene_stands_still_while_others_go_on(device):
     some = [dataclasses.replace(falling(0.1), duration=0.01), dataclasses.replace(falling(0.2), duration=0.06)]
     simulations = simulate(device, some)
-    runs = run_together(simulations)
+    runs = run_batch(simulations)
     assert runs[0].result["steps"] < runs[1].result["steps"]
     assert state_hash(simulations[0].state) == runs[0].result["state_hash"]
     assert simulations[0].stepper.steps == runs[0].result["steps"]
@@ -89,22 +90,22 @@ def test_unlike_scenes_fall_into_batches_of_their_own(device):
     bonded = scenes.pipe(**SMALL)
     frictionless = scenes.pipe(friction=0.0, bonds=False, **SMALL)
     simulations = simulate(device, [bonded, frictionless])
-    runs = run_together(simulations)
+    runs = run_batch(simulations)
     assert all(isinstance(run, Run) and run.finished for run in runs)
     assert simulations[1].stepper.batch.count == 1
 
 
 def test_what_a_scene_does_not_need_takes_no_memory(device):
     for scene, names in (
-        (falling(0.1), ("pair_bond", "pair_bond_force", "sphere_broken", "candidate_face", "slot_normal")),
+        (falling(0.1), ("pairs.bond", "pairs.bond_force", "spheres.broken", "candidates.face", "slots.normal")),
         (
             dataclasses.replace(falling(0.1), contact=dataclasses.replace(falling(0.1).contact, friction=0.0)),
-            ("pair_history", "pair_bond", "sphere_touching"),
+            ("pairs.history", "pairs.bond", "spheres.touching"),
         ),
     ):
         state = State(build_model(scene, find_device(device), "float32"), placed_bodies(scene))
         for name in names:
-            assert getattr(state, name).size == 0, name
+            assert operator.attrgetter(name)(state).size == 0, name
 
 
 def test_memory_is_estimated_and_too_many_bodies_are_refused(device, monkeypatch):
@@ -132,7 +133,7 @@ class Interrupted(Recorder):
 def test_an_interruption_of_one_scene_ends_all(device):
     simulations = simulate(device, [falling(0.1), falling(0.2), falling(0.3)])
     simulations[1].recorders.append(Interrupted())
-    runs = run_together(simulations)
+    runs = run_batch(simulations)
     assert all(isinstance(run, Run) and not run.finished for run in runs)
     assert all(0 < len(run.series["time"]) <= 4 for run in runs)
 
@@ -146,7 +147,7 @@ def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path):
         paths.append(tmp_path / f"{seed}.npz")
         simulation.save(paths[-1])
     some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]
-    together = run_together(simulate("cpu", some), checkpoints=paths)
+    together = run_batch(simulate("cpu", some), checkpoints=paths)
     for path, scene, other in zip(paths, some, together):
         one = Simulation(scene, device="cpu", threads=1)
         one.resume(path)

@@ -127,7 +127,7 @@ def test_healing_bonds_at_first_touch_only_where_asked_for(start):
         bonds = Bonds(healing=healing, tensile_strength=1e12, cohesion=1e12, effective_modulus=2e5)
         stepper = start(two_spheres(gap=1e-4, velocity=(-0.1, 0, 0), contact=SMOOTH, bonds=bonds, dt=5e-6))
         stepper.advance(0.02)
-        distance = np.linalg.norm(np.diff(by_id(stepper.state, "body_position"), axis=0))
+        distance = np.linalg.norm(np.diff(by_id(stepper.state, "position"), axis=0))
         if healing:
             assert stepper.state.pairs.bond.numpy()[0] == 1 and distance < 2 * RADIUS + 2e-4
         else:
@@ -141,7 +141,7 @@ def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
     reach = 0.0
     for _ in range(1800):
         stepper.take(1)
-        reach = max(reach, np.linalg.norm(np.diff(by_id(stepper.state, "body_position"), axis=0)) - 2 * RADIUS)
+        reach = max(reach, np.linalg.norm(np.diff(by_id(stepper.state, "position"), axis=0)) - 2 * RADIUS)
     k = 1e3 / (2 * RADIUS) * AREA
     assert reach > 2 * stepper.skin
     assert reach == pytest.approx(1.0 * math.sqrt(MASS / 2 / k), rel=1e-2)
@@ -159,7 +159,7 @@ def test_hydration_takes_the_share_asked_for(start):
         duration=0,
         bodies=(Bodies(positions=grid, sizes=0.02),),
         bonds=bonds,
-        hydration=Hydration(share=0.2),
+        hydration=Hydration(fraction=0.2),
         gravity=(0, 0, 0),
     )
     stepper = start(scene)

@@ -117,7 +117,7 @@ def test_free_tumbling_keeps_energy_and_angular_momentum(start):
     for _ in range(100):
         stepper.take(100)
         energies.append(body_sums(stepper.model, body).kinetic_energy)
-        spins.append(rotate(by_id(body, "body_orientation"), by_id(body, "body_spin"), inverse=True)[0])
+        spins.append(rotate(by_id(body, "orientation"), by_id(body, "spin"), inverse=True)[0])
     assert np.array_equal(body.bodies.angular_momentum.numpy()[0], momentum)
     size_mass = float(body.bodies.mass.numpy()[0]) * 0.02**2
     exact = 0.5 * size_mass * (moments * spin[0] ** 2).sum()
@@ -196,7 +196,7 @@ def test_packing_is_seeded(device, straight):
     [
         (dict(solid_fraction=0.95), "solid_fraction = 0.95"),
         (dict(solid_fraction=0.5, sizes=Uniform(0.05, 0.2)), "largest size = 0.2"),
-        (dict(solid_fraction=0.5, shares=(1.0,)), "shares"),
+        (dict(solid_fraction=0.5, fractions=(1.0,)), "fractions"),
         (dict(pressure=-5.0), "packing pressure = -5.0"),
         (dict(), "solid_fraction = None"),
     ],

@@ -1,12 +1,14 @@
 """Contact law: springs, dashpots, friction and history against exact answers."""
 
+import dataclasses
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from conftest import by_id, pair_history
 
-from warpcrete.core.device import find_device
+from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.model import build_model
 from warpcrete.dem.packing import pack
@@ -48,10 +50,10 @@ def test_head_on_collision_matches_the_damped_oscillator(start, beta):
     half_way = duration / 2 if beta == 0 else None
     if half_way:
         stepper.advance(half_way)
-        overlap = 2 * RADIUS - np.diff(by_id(stepper.state, "body_position")[:, 0])[0]
+        overlap = 2 * RADIUS - np.diff(by_id(stepper.state, "position")[:, 0])[0]
         assert overlap == pytest.approx(1.0 / omega, rel=1e-5)
     stepper.advance(1.1 * duration)
-    speed = np.diff(by_id(stepper.state, "body_velocity")[:, 0])[0]
+    speed = np.diff(by_id(stepper.state, "velocity")[:, 0])[0]
     assert speed == pytest.approx(restitution, rel=1e-4)
 
 
@@ -61,7 +63,7 @@ def test_collision_duration_gives_the_stiffness(start):
     touching = 0
     while True:
         stepper.take(1)
-        gap = np.diff(by_id(stepper.state, "body_position")[:, 0])[0] - 2 * RADIUS
+        gap = np.diff(by_id(stepper.state, "position")[:, 0])[0] - 2 * RADIUS
         if gap > 0:
             break
         touching += 1
@@ -77,7 +79,7 @@ def test_oblique_impact_conserves_momentum_and_angular_momentum(start):
     stepper = start(scene)
 
     def totals():
-        x, v, w = (by_id(stepper.state, f"body_{n}") for n in ("position", "velocity", "spin"))
+        x, v, w = (by_id(stepper.state, n) for n in ("position", "velocity", "spin"))
         return MASS * v.sum(0), (MASS * np.cross(x, v) + 0.4 * MASS * RADIUS**2 * w).sum(0)
 
     before = totals()
@@ -87,7 +89,7 @@ def test_oblique_impact_conserves_momentum_and_angular_momentum(start):
     # Angular momentum is that of half-step velocities at full-step places: exact to the rounding of one step.
     scale = np.abs(before[1]).max()
     assert np.abs(after[1] - before[1]).max() < 1e-4 * scale
-    assert np.abs(by_id(stepper.state, "body_spin")[0] - [3, -20, 8]).max() > 1  # friction did act
+    assert np.abs(by_id(stepper.state, "spin")[0] - [3, -20, 8]).max() > 1  # friction did act
 
 
 def test_only_the_overlapped_part_of_the_first_step_loads_the_shear_spring(start):
@@ -109,7 +111,7 @@ def test_no_tension_dashpot_never_pulls(start, mode):
     contact = Contact(friction=0.0, normal_damping_ratio=0.9, dashpot=mode)
     stepper = start(two_spheres(gap=-1e-4, velocity=(1.0, 0, 0), contact=contact))
     stepper.take(1)
-    acceleration = (np.diff(by_id(stepper.state, "body_velocity")[:, 0])[0] - 1.0) / (0.5 * stepper.dt)
+    acceleration = (np.diff(by_id(stepper.state, "velocity")[:, 0])[0] - 1.0) / (0.5 * stepper.dt)
     spring, dashpot = K_PAIR * 1e-4, 2 * 0.9 * math.sqrt(MASS / 2 * K_PAIR)
     force = spring - dashpot if mode == "full" else 0.0
     assert acceleration * MASS / 2 == pytest.approx(force, rel=1e-6, abs=1e-9)
@@ -120,13 +122,13 @@ def test_slip_cut_drops_the_shear_dashpot_in_slip(start, mode):
     contact = Contact(friction=0.01, normal_damping_ratio=0.0, shear_damping_ratio=0.3, dashpot=mode)
     stepper = start(two_spheres(gap=-1e-4, velocity=(0.0, 5.0, 0.0), contact=contact, dt=1e-5))
     stepper.take(3)  # slipping by now
-    before = by_id(stepper.state, "body_velocity").copy()
-    spin = by_id(stepper.state, "body_spin")[:, 2].copy()
-    offset = np.diff(by_id(stepper.state, "body_position"), axis=0)[0]
+    before = by_id(stepper.state, "velocity").copy()
+    spin = by_id(stepper.state, "spin")[:, 2].copy()
+    offset = np.diff(by_id(stepper.state, "position"), axis=0)[0]
     n = offset / np.linalg.norm(offset)
     along = np.array([-n[1], n[0], 0.0])
     stepper.take(1)
-    force = -MASS * (by_id(stepper.state, "body_velocity") - before)[1] @ along / stepper.dt
+    force = -MASS * (by_id(stepper.state, "velocity") - before)[1] @ along / stepper.dt
     friction = 0.01 * K_PAIR * (2 * RADIUS - np.linalg.norm(offset))
     surface = (before[1] - before[0]) @ along - 0.5 * np.linalg.norm(offset) * (spin[0] + spin[1])
     dashpot = 2 * 0.3 * math.sqrt(MASS / 2 * K_PAIR / 2) * surface if mode == "full" else 0.0
@@ -160,7 +162,7 @@ def test_sliding_sphere_starts_to_roll(start, damping):
         return
     # Whatever the force, m v a + I w is kept, and so is the speed at which it rolls.
     stepper.advance(3 * onset)
-    velocity, spin = by_id(stepper.state, "body_velocity")[0, 0], by_id(stepper.state, "body_spin")[0, 1]
+    velocity, spin = by_id(stepper.state, "velocity")[0, 0], by_id(stepper.state, "spin")[0, 1]
     lever = 2.5 * (1 - rest / RADIUS) ** 2
     assert velocity == pytest.approx(lever / (1 + lever) * speed, rel=1e-4)
     assert velocity == pytest.approx(spin * (RADIUS - rest), rel=1e-6)
@@ -168,9 +170,9 @@ def test_sliding_sphere_starts_to_roll(start, damping):
 
 def check_sliding(stepper, speed, deceleration, rest, time):
     stepper.advance(time)
-    velocity = by_id(stepper.state, "body_velocity")[0, 0]
+    velocity = by_id(stepper.state, "velocity")[0, 0]
     assert velocity == pytest.approx(speed - deceleration * time, rel=2e-3)
-    spin = by_id(stepper.state, "body_spin")[0, 1]
+    spin = by_id(stepper.state, "spin")[0, 1]
     # The moment arm ends at the floor, a little inside the sphere.
     assert spin == pytest.approx(2.5 * deceleration * time / RADIUS * (1 - rest / RADIUS), rel=2e-3)
 
@@ -221,14 +223,14 @@ def test_history_turns_with_spin_about_the_normal(start, part):
     stepper = start(two_spheres(gap=gap, spins=spins, contact=contact, bonds=bonds, dt=1e-5, density=1e15))
     stepper.bond(bonds, 1)
     tiny = 1e-12
-    name = {"friction": "pair_history", "bond shear": "pair_bond_force", "bond bending": "pair_bond_moment"}[part]
-    array = getattr(stepper.state, name)
+    name = {"friction": "history", "bond shear": "bond_force", "bond bending": "bond_moment"}[part]
+    array = getattr(stepper.state.pairs, name)
     value = array.numpy().copy()
     value[0, 1] = tiny  # along y
     array.assign(value)
     quarter = round(math.pi / 2 / rate / stepper.dt)
     stepper.take(quarter + 1)  # the first force is taken before anything turned
-    turned = getattr(stepper.state, name).numpy()[0][:3]
+    turned = getattr(stepper.state.pairs, name).numpy()[0][:3]
     assert turned == pytest.approx([0.0, 0.0, tiny], abs=1e-3 * tiny)
 
 
@@ -279,37 +281,43 @@ def test_sorting_changes_the_order_but_not_the_motion(device):
         stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), sort_every=sort_every)
         stepper.bond(model.scene.bonds, 1)
         stepper.take(400)
-        runs.append((by_id(stepper.state, "body_position"), stepper.state.bodies.id.numpy().copy()))
+        runs.append((by_id(stepper.state, "position"), stepper.state.bodies.id.numpy().copy()))
     assert not np.array_equal(runs[0][1], runs[1][1])
     assert np.abs(runs[0][0] - runs[1][0]).max() < 1e-9  # sums in another order: rounding, grown by 400 steps
 
 
-def test_half_and_full_list_agree(device):
-    import dataclasses
-
-    if device != "cpu":
-        pytest.skip("a half list needs one thread; the full list is what a GPU always runs")
-    fill, table = small_packing(device)
+def test_half_and_full_list_agree():
+    """The lists of a CPU and of a GPU, on the CPU: motion, history, bonds and their breakage."""
+    fill, table = small_packing("cpu")
     results = []
-    for half in (True, False):
-        model = build_model(flowing_scene(fill), find_device(device), "float64")
-        model.features = dataclasses.replace(model.features, half_list=half)
-        stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5))
-        made = stepper.bond(model.scene.bonds, 1)
-        stepper.take(300)
-        history = {key: np.frombuffer(value[0]) for key, value in pair_history(stepper.state).items()}
-        results.append(
-            (made, by_id(stepper.state, "body_position"), history, stepper.state.spheres.broken.numpy().sum(0))
-        )
-    assert results[0][0] == results[1][0] > 100
-    assert np.array_equal(results[0][3], results[1][3])
-    assert np.abs(results[0][1] - results[1][1]).max() < 1e-10
-    assert results[0][2].keys() == results[1][2].keys()
+    for way in (nullcontext, share_out_like_a_gpu):
+        with way():
+            weak = Bonds(tensile_strength=20.0, cohesion=10.0, healing=True)
+            scene = dataclasses.replace(flowing_scene(fill), bonds=weak)
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5))
+            made = stepper.bond(weak, 1)
+            stepper.take(400)
+        # Lists hold different pairs that do not touch: their skins differ.
+        history = pair_history(stepper.state)
+        shear = {key: np.frombuffer(value[0]) for key, value in history.items() if np.any(np.frombuffer(value[0]))}
+        bonds = {key: kind for key, value in history.items() if (kind := int(np.frombuffer(value[1], np.int32)[0]))}
+        assert model.features.half_list == (way is nullcontext)
+        results.append((made, by_id(stepper.state, "position"), shear, bonds, stepper.state.spheres.broken.numpy()))
+    (made, half, shear, bonds, broken), (_, full, shear_full, bonds_full, broken_full) = results
+    assert made == results[1][0] > 100
+    assert np.array_equal(broken.sum(0), broken_full.sum(0)) and broken.sum() > 10
+    assert bonds == bonds_full and len(bonds) > 100
+    assert np.abs(half - full).max() < 1e-10
+    assert shear.keys() == shear_full.keys()
+    largest = max(np.abs(value).max() for value in shear.values())
+    assert largest > 0
+    assert max(np.abs(shear[key] - shear_full[key]).max() for key in shear) < 1e-7 * largest
 
 
 def test_coincident_centres_part(start):
     scene = two_spheres(gap=-2 * RADIUS)
     stepper = start(scene)
     stepper.advance(0.05)
-    x = by_id(stepper.state, "body_position")
+    x = by_id(stepper.state, "position")
     assert np.all(np.isfinite(x)) and np.linalg.norm(x[1] - x[0]) > 1.9 * RADIUS

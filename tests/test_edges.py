@@ -12,7 +12,7 @@ from warpcrete import SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.dem import clumps
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.packing import pack
-from warpcrete.dem.scene import AxisDrive, Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
 from warpcrete.dem.sizes import Gaussian
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
@@ -51,12 +51,12 @@ def test_approaching_mesh_is_met_in_time(start):
     deepest = 0.0
     for _ in range(4000):
         stepper.take(1)
-        lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
+        lift = by_id(stepper.state, "position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
         deepest = max(deepest, RADIUS - lift)
         if stepper.time > 0.03:
             break
     assert deepest == pytest.approx(1.45 * math.sqrt(MASS / (100 * K_WALL)), rel=0.02)
-    assert by_id(stepper.state, "body_velocity")[0, 2] == pytest.approx(1.0 + 2 * 0.45, rel=0.02)
+    assert by_id(stepper.state, "velocity")[0, 2] == pytest.approx(1.0 + 2 * 0.45, rel=0.02)
 
 
 def test_pipe_wall_limits_the_step_of_a_clump_like_a_plane(start):
@@ -92,10 +92,9 @@ def test_light_driven_wall_has_its_say_in_the_step(start):
 
 def test_samples_shorter_than_the_step_repeat_the_last_figure(device):
     plate = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
-    notes = {"pressure_wall": "floor", "pressure_area": 1.0}
     rest = ball(positions=[[0, 0, RADIUS - MASS * 9.81 / K_WALL]])
-    scene = Scene(name="short", duration=0.02, walls=(plate,), bodies=(rest,), sample_interval=5e-5, notes=notes,
-                  time_step=TimeStep(fixed=2e-4))  # fmt: skip
+    scene = Scene(name="short", duration=0.02, walls=(plate,), bodies=(rest,), sample_interval=5e-5,
+                  pressure=PressureProbe(wall="floor", area=1.0), time_step=TimeStep(fixed=2e-4))  # fmt: skip
     run = Simulation(scene, device=device).run()
     assert run.series["pressure"][2:] == pytest.approx(MASS * 9.81, rel=1e-3)
 

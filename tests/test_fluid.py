@@ -11,12 +11,18 @@ import warpcrete
 from warpcrete import scenes
 from warpcrete.core.device import default_threads, find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
+from warpcrete.core.files import read_json
 from warpcrete.core.run_loop import Recorder
+from warpcrete.dem.simulation import ElementSimulation
+from warpcrete.mps.column import check_flow
+from warpcrete.mps.layout import layout
+from warpcrete.mps.mixes import mortar_of
 from warpcrete.mps.particles import MovingParticles
-from warpcrete.mps.scene import check_flow, mortar_of
 from warpcrete.mps.simulation import FluidSimulation
-from warpcrete.mps.state import FluidState, layout
+from warpcrete.mps.stages import step_parts
+from warpcrete.mps.state import FluidState
 from warpcrete.mps.theory import CONCRETES
+from warpcrete.record.run_folder import TableRecorder
 
 SCENES = {2: scenes.channel, 3: scenes.tube}
 
@@ -26,26 +32,26 @@ def flow_of(device, precision="float64", dimensions=2, **parameters):
     scene = SCENES[dimensions](**{"spacing": 10e-3, **parameters})
     state = FluidState(scene, find_device(device), precision)
     rng = np.random.default_rng(1)
-    shaken = state.position.numpy() + 0.01 * state.layout.spacing * rng.uniform(-1, 1, (state.count, dimensions))
-    state.position.assign(shaken)
+    shift = 0.01 * state.layout.spacing * rng.uniform(-1, 1, (state.count, dimensions))
+    state.particles.position.assign(state.particles.position.numpy() + shift)
     return MovingParticles(state, threads=1)
 
 
 def step(flow):
     """One step; what it worked with stays in the arrays of `flow`."""
-    flow.advance(1)
+    flow.take(1)
     return flow
 
 
 def neighbours(flow):
     """Rows (i, j, coefficient) of the pairs within reach."""
-    count, near = flow.near_count.numpy(), flow.near.numpy()
-    coefficient = flow.pair_coefficient.numpy()
-    n, capacity = flow.state.count, flow.capacity[0]
+    count, near = flow.lists.near_count.numpy(), flow.lists.near.numpy()
+    coefficient = flow.matrix.coefficient.numpy()
+    n, capacity = flow.state.count, flow.lists.near_capacity
     rows = []
     for i in range(n):
         for k in range(count[i]):
-            at = k * n + i if flow.is_cuda else i * capacity + k
+            at = k * n + i if flow.parallel else i * capacity + k
             rows.append((i, near[at], coefficient[at]))
     return np.array(rows)
 
@@ -53,8 +59,8 @@ def neighbours(flow):
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_lists_hold_every_pair_within_reach(device, dimensions):
     flow = flow_of(device, dimensions=dimensions)
-    x, wall = flow.state.position.numpy().copy(), flow.state.layout.wall
-    near, far, walls = flow.near_count.numpy(), flow.far_count.numpy(), flow.near_wall.numpy()
+    x, wall = flow.state.particles.position.numpy().copy(), flow.state.layout.wall
+    near, far, walls = flow.lists.near_count.numpy(), flow.lists.far_count.numpy(), flow.lists.wall_count.numpy()
     inner, outer = (2.1 + 0.1) * flow.state.layout.spacing, (3.1 + 0.1) * flow.state.layout.spacing
 
     def between(count, r, reach):  # the reach is a ten-thousandth more than it must be
@@ -70,17 +76,16 @@ def test_lists_hold_every_pair_within_reach(device, dimensions):
 def test_linear_pressure_passes_the_filter_and_drives_as_its_slope(device, dimensions):
     """Least squares are exact for linear fields on any arrangement: no velocity changes but by the known slope."""
     flow = flow_of(device, dimensions=dimensions, gravity=0.0)
-    x = flow.state.position.numpy()
+    x = flow.state.particles.position.numpy()
     slope = np.array([30.0, -70.0, 20.0][:dimensions])
-    flow.state.pressure.assign(x @ slope + 5.0)
-    for stage in flow.stages[0][: 4 if flow.is_cuda else 3]:  # up to the momentum, before any solve
-        stage()
-    inside = flow.free.numpy() == 0
+    flow.state.particles.pressure.assign(x @ slope + 5.0)
+    forces(flow)
+    inside = flow.matrix.free.numpy() == 0
     assert inside.sum() > 0.9 * len(x) and not inside.all()
-    assert flow.predicted.numpy()[inside] == pytest.approx((x @ slope + 5.0)[inside], abs=1e-9)
-    assert np.all(flow.predicted.numpy()[~inside] == 0)
+    assert flow.fields.predicted.numpy()[inside] == pytest.approx((x @ slope + 5.0)[inside], abs=1e-9)
+    assert np.all(flow.fields.predicted.numpy()[~inside] == 0)
     # Away from the surface and the wall, the force is the slope alone.
-    deep = inside & (flow.wall_weight.numpy() == 0) & (x[:, -1] < 0.25)
+    deep = inside & (flow.fields.wall_weight.numpy() == 0) & (x[:, -1] < 0.25)
     assert deep.sum() > 0.2 * len(x)
     assert flow.viscous.residual.numpy()[deep] == pytest.approx(np.tile(-slope, (deep.sum(), 1)), abs=1e-6)
 
@@ -89,40 +94,46 @@ def test_linear_pressure_passes_the_filter_and_drives_as_its_slope(device, dimen
 def test_wall_bears_the_law_of_its_layer(device, dimensions):
     """A plug at a known speed: every particle at the wall feels the layer's stress on just the area that is there."""
     flow = flow_of(device, dimensions=dimensions, yield_stress=1e7, gravity=0.0)
-    flow.state.pressure.zero_()
+    flow.state.particles.pressure.zero_()
     for speed, stress in ((0.1, 251 + 893 * 0.1), (1e-10, None)):
         velocity = np.zeros((flow.state.count, dimensions))
         velocity[:, -1] = speed
-        flow.state.velocity.assign(velocity)
-        for stage in flow.stages[0][: 4 if flow.is_cuda else 3]:
-            stage()
-        wet = flow.wall_weight.numpy() > 0
+        flow.state.particles.velocity.assign(velocity)
+        forces(flow)
+        wet = flow.fields.wall_weight.numpy() > 0
         force = -np.sum(flow.viscous.residual.numpy(), axis=0)[-1] * flow.state.layout.volume
         if stress is not None:
-            assert flow.traction.numpy()[wet] == pytest.approx(stress, rel=1e-4)  # as stiff as the plug is
+            assert flow.fields.traction.numpy()[wet] == pytest.approx(stress, rel=1e-4)  # as stiff as the plug is
             assert force == pytest.approx(stress * flow.wet_area, rel=1e-4)
         else:  # what slips by this is less than the layer's yield stress: the fluid is sheared instead
-            sheared = speed / flow.compliance.numpy()[wet]
-            assert np.all(sheared < 251.0) and flow.traction.numpy()[wet] == pytest.approx(sheared, rel=1e-9)
+            sheared = speed / flow.fields.compliance.numpy()[wet]
+            assert np.all(sheared < 251.0) and flow.fields.traction.numpy()[wet] == pytest.approx(sheared, rel=1e-9)
 
 
 def test_apparent_viscosity_follows_the_regularised_law(device):
     """A linear shear has the same rate everywhere; Eq. 15 then gives one viscosity."""
     for rate in (0.0, 1e-7, 0.03, 2.0):
         flow = flow_of(device)
-        x = flow.state.position.numpy()
+        x = flow.state.particles.position.numpy()
         velocity = np.zeros_like(x)
         velocity[:, 1] = rate * x[:, 0]
-        flow.state.velocity.assign(velocity)
-        flow.advance(1)
+        flow.state.particles.velocity.assign(velocity)
+        flow.take(1)
         expected = 397 + 190 * (-np.expm1(-100 * rate) / rate if rate > 0 else 100.0)
-        assert flow.viscosity.numpy() == pytest.approx(expected, rel=1e-7)
+        assert flow.fields.viscosity.numpy() == pytest.approx(expected, rel=1e-7)
 
 
 def stage_named(flow, name):
     """The stage of a step with this kernel."""
-    (found,) = [s for s in flow.stages[0] if hasattr(s, "kernel") and s.kernel.func.__name__ == name]
+    (found,) = [s for s in flow.step[0] if getattr(s, "name", None) == name]
     return found
+
+
+def forces(flow):
+    """Everything of a step up to the forces, before any solve."""
+    (part,) = step_parts(flow)
+    for stage in (*part.geometry(), *part.wall_scale(), *part.momentum()):
+        stage()
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -130,65 +141,65 @@ def test_velocity_from_the_wall_follows_the_falling_stress(device, dimensions):
     """Newtonian: s (1 - s / 2R) / mu a pascal at the wall, as the parabola has it; regularised: with the tangent."""
     flow = flow_of(device, dimensions=dimensions, yield_stress=0.0)
     stage_named(flow, "geometry")()
-    x = flow.state.position.numpy()
+    x = flow.state.particles.position.numpy()
     s = 0.05 - np.linalg.norm(x[:, :-1], axis=1)
-    assert flow.compliance.numpy() == pytest.approx(s * (1 - s / 0.1) / 397, rel=1e-6)
+    assert flow.fields.compliance.numpy() == pytest.approx(s * (1 - s / 0.1) / 397, rel=1e-6)
     flow = flow_of(device, dimensions=dimensions)
-    x = flow.state.position.numpy().copy()
+    x = flow.state.particles.position.numpy().copy()
     velocity = np.zeros_like(x)
     velocity[:, -1] = 0.03 * x[:, 0]
-    flow.state.velocity.assign(velocity)
+    flow.state.particles.velocity.assign(velocity)
     stage_named(flow, "geometry")()
     s = 0.05 - np.linalg.norm(x[:, :-1], axis=1)
     apparent, tangent = 397 + 190 * -np.expm1(-3) / 0.03, 397 + 190 * 100 * np.exp(-3)
     expected = s * ((1 - s / 0.05) / apparent + s / 0.1 / tangent)
-    assert flow.compliance.numpy() == pytest.approx(expected, rel=1e-6)
+    assert flow.fields.compliance.numpy() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_projection_takes_the_slope_of_the_increment(device, dimensions):
     flow = step(flow_of(device, dimensions=dimensions))
     stage_named(flow, "geometry")()
-    x, before = flow.state.position.numpy(), flow.state.velocity.numpy().copy()
+    x, before = flow.state.particles.position.numpy(), flow.state.particles.velocity.numpy().copy()
     slope = np.array([3e3, -7e3, 2e3][:dimensions])
-    flow.increment.assign(x @ slope)
+    flow.fields.increment.assign(x @ slope)
     stage_named(flow, "project")()
-    change = flow.state.velocity.numpy() - before
+    change = flow.state.particles.velocity.numpy() - before
     expected = -5e-4 / 2354 * slope
     assert change == pytest.approx(np.tile(expected, (len(x), 1)), abs=1e-6 * np.abs(expected).max())
-    assert flow.state.pressure.numpy() == pytest.approx(flow.predicted.numpy() + x @ slope, rel=1e-12)
+    assert flow.state.particles.pressure.numpy() == pytest.approx(flow.fields.predicted.numpy() + x @ slope, rel=1e-12)
 
 
 def test_filter_takes_a_checkerboard_away(device):
     """Values that change sign from one particle to the next are invisible to gradients and would grow."""
     scene = scenes.channel(spacing=5e-3)
     flow = MovingParticles(FluidState(scene, find_device(device), "float64"), threads=1)
-    x = flow.state.position.numpy()
+    x = flow.state.particles.position.numpy()
     sign = np.where(np.round(x / 5e-3 - 0.5).sum(axis=1) % 2 == 0, 1.0, -1.0)
     linear = 4e3 - 2e4 * x[:, 1]
-    flow.state.pressure.assign(linear + 100 * sign)
+    flow.state.particles.pressure.assign(linear + 100 * sign)
     stage_named(flow, "geometry")()
     inside = (np.abs(x[:, 0]) < 0.04) & (x[:, 1] > 0.02) & (x[:, 1] < 0.28)
-    left = (flow.predicted.numpy() - linear)[inside]
+    left = (flow.fields.predicted.numpy() - linear)[inside]
     assert np.abs(left).max() < 30
-    flow.state.pressure.assign(linear)
+    flow.state.particles.pressure.assign(linear)
     stage_named(flow, "geometry")()
-    assert flow.predicted.numpy()[inside] == pytest.approx(linear[inside], rel=1e-12)
+    assert flow.fields.predicted.numpy()[inside] == pytest.approx(linear[inside], rel=1e-12)
 
 
 def test_small_steps_are_not_lost_in_single_precision(device):
     """Relative to the piston a step may be less than the last digit of the place; a thousand must still add up."""
     flow = flow_of(device, precision="float32")
-    start = flow.state.position.numpy().astype(float)
+    start = flow.state.particles.position.numpy().astype(float)
     speed = flow.scene.velocity
     velocity = np.zeros((flow.state.count, 2))
     velocity[:, 1] = speed - 2e-5  # 1e-8 m a step, at heights of up to 0.3 m
-    flow.state.velocity.assign(velocity)
-    relative = flow.state.velocity.numpy()[0, 1].astype(float) - float(np.float32(speed))
+    flow.state.particles.velocity.assign(velocity)
+    relative = flow.state.particles.velocity.numpy()[0, 1].astype(float) - float(np.float32(speed))
     advance = stage_named(flow, "advance")
     for _ in range(1000):
         advance()
-    moved = flow.state.position.numpy().astype(float) - start
+    moved = flow.state.particles.position.numpy().astype(float) - start
     chosen = start[:, 1] > 0.25
     assert moved[chosen, 1].mean() == pytest.approx(1000 * 5e-4 * relative, rel=5e-3)
     assert moved[chosen, 1].std() < 3e-8
@@ -200,32 +211,32 @@ def test_small_steps_of_grains_are_not_lost_either(device, speed):
     flow = MovingParticles(
         FluidState(scenes.channel(spacing=5e-3, aggregates=True), find_device(device), "float32"), threads=1
     )
-    start = flow.state.position.numpy().astype(float)
+    start = flow.state.particles.position.numpy().astype(float)
     velocity = np.zeros((flow.state.count, 2))
     velocity[:, 1] = flow.scene.velocity - speed
-    flow.state.velocity.assign(velocity)
-    relative = flow.state.velocity.numpy()[0, 1].astype(float) - float(np.float32(flow.scene.velocity))
+    flow.state.particles.velocity.assign(velocity)
+    relative = flow.state.particles.velocity.numpy()[0, 1].astype(float) - float(np.float32(flow.scene.velocity))
     stages = [stage_named(flow, name) for name in ("velocities", "advance", "places")]
     for _ in range(500):
         for stage in stages:
             stage()
-    moved = flow.state.position.numpy().astype(float)[:, 1] - start[:, 1]
+    moved = flow.state.particles.position.numpy().astype(float)[:, 1] - start[:, 1]
     chosen = (flow.state.grains.group >= 0) & (start[:, 1] > 0.03)
     assert moved[chosen].mean() == pytest.approx(500 * 5e-4 * relative, rel=0.01, abs=1e-9)
     assert moved[chosen].std() < 5e-8
 
 
 def test_grains_of_two_particles_turn_about_all_but_their_own_axis(device):
-    scene = scenes.tube(spacing=10e-3, aggregates=True, aggregate_share=0.05)
+    scene = scenes.tube(spacing=10e-3, aggregates=True, aggregate_fraction=0.05)
     small = dataclasses.replace(scene.aggregates, sizes=((12e-3, 20e-3, 1.0),))
     flow = MovingParticles(
         FluidState(dataclasses.replace(scene, aggregates=small), find_device(device), "float64"), threads=1
     )
-    x = flow.state.position.numpy().copy()
+    x = flow.state.particles.position.numpy().copy()
     spin = np.array([1.0, 3.0, -2.0])
-    flow.state.velocity.assign(np.cross(spin, x))
+    flow.state.particles.velocity.assign(np.cross(spin, x))
     stage_named(flow, "velocities")()
-    first, found = flow.state.grains.first, flow.state.grain_arrays["spin"].numpy()
+    first, found = flow.state.grains.first, flow.grains.spin.numpy()
     pairs = np.flatnonzero(np.diff(first) == 2)
     assert len(pairs) > 3
     for g in pairs:
@@ -237,12 +248,12 @@ def test_grains_of_two_particles_turn_about_all_but_their_own_axis(device):
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_grain_turns_with_what_it_is_carried_by(device, dimensions):
     """A whole field that turns leaves grains turning at its rate, in its sense, about their middles."""
-    scene = SCENES[dimensions](spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, aggregate_share=0.1)
+    scene = SCENES[dimensions](spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, aggregate_fraction=0.1)
     if dimensions == 3:
         big = dataclasses.replace(scene.aggregates, sizes=((25e-3, 30e-3, 1.0),))
         scene = dataclasses.replace(scene, aggregates=big)
     flow = MovingParticles(FluidState(scene, find_device(device), "float64"), threads=1)
-    x = flow.state.position.numpy().copy()
+    x = flow.state.particles.position.numpy().copy()
     spin = np.array([0.0, 3.0, 0.0]) if dimensions == 2 else np.array([1.0, 3.0, -2.0])
 
     def field(places):
@@ -252,15 +263,13 @@ def test_a_grain_turns_with_what_it_is_carried_by(device, dimensions):
 
     velocity = field(x)
     velocity[:, -1] += scene.velocity
-    flow.state.velocity.assign(velocity)
+    flow.state.particles.velocity.assign(velocity)
     stage_named(flow, "velocities")()
-    assert flow.state.velocity.numpy() == pytest.approx(velocity, abs=1e-12)
-    assert flow.state.grain_arrays["spin"].numpy() == pytest.approx(
-        np.tile(spin, (flow.state.grains.count, 1)), abs=1e-9
-    )
+    assert flow.state.particles.velocity.numpy() == pytest.approx(velocity, abs=1e-12)
+    assert flow.grains.spin.numpy() == pytest.approx(np.tile(spin, (flow.state.grains.count, 1)), abs=1e-9)
     stage_named(flow, "advance")()
     stage_named(flow, "places")()
-    after = flow.state.position.numpy()
+    after = flow.state.particles.position.numpy()
     for a, b in itertools.pairwise(flow.state.grains.first):
         old, new = x[a:b] - x[a:b].mean(0), after[a:b] - after[a:b].mean(0)
         # The turn of one step, 1.5e-3, to its second order.
@@ -292,19 +301,19 @@ def test_the_laplacian_is_exact_for_quadratics_on_the_lattice(device, dimensions
 def test_the_solves_solve(device, dimensions):
     """Against NumPy's solution of the same equations, written out in full."""
     flow = flow_of(device, dimensions=dimensions, tolerance=1e-10)
-    flow.advance(1)
+    flow.take(1)
     rows = neighbours(flow)
     n = flow.state.count
     matrix = np.zeros((n, n))
     matrix[rows[:, 0].astype(int), rows[:, 1].astype(int)] = -rows[:, 2]
-    matrix[np.arange(n), np.arange(n)] = flow.diagonal.numpy()
-    inside = np.flatnonzero(flow.free.numpy() == 0)
+    matrix[np.arange(n), np.arange(n)] = flow.matrix.diagonal.numpy()
+    inside = np.flatnonzero(flow.matrix.free.numpy() == 0)
     # After the step the residual of the pressure's equation is what is left: b = A x + r.
-    x = flow.increment.numpy()
+    x = flow.fields.increment.numpy()
     right = matrix @ x + flow.projection.residual.numpy()
     exact = np.linalg.solve(matrix[np.ix_(inside, inside)], right[inside])
     assert x[inside] == pytest.approx(exact, abs=1e-5 * np.abs(exact).max())
-    assert np.all(x[flow.free.numpy() != 0] == 0)
+    assert np.all(x[flow.matrix.free.numpy() != 0] == 0)
     found = flow.outcomes()["pressure"]
     assert 5 < found["iterations"] < 400 and found["after"] <= 1e-4 * found["before"]
 
@@ -313,16 +322,15 @@ def test_the_solves_solve(device, dimensions):
 def test_viscous_solve_solves(device, dimensions):
     """All components at once, with the wall's resistance along the wall only, against NumPy."""
     flow = flow_of(device, dimensions=dimensions)
-    velocity = flow.state.velocity.numpy().copy()
-    velocity[:, 0] += 0.01 * np.sin(50 * flow.state.position.numpy()[:, 1])
-    flow.state.velocity.assign(velocity)
-    names = ("geometry", "alone") if not flow.is_cuda else ("geometry", "gather", "divide")
-    for name in (*names, "momentum"):
-        stage_named(flow, name)()
+    velocity = flow.state.particles.velocity.numpy().copy()
+    velocity[:, 0] += 0.01 * np.sin(50 * flow.state.particles.position.numpy()[:, 1])
+    flow.state.particles.velocity.assign(velocity)
+    forces(flow)
     rows = neighbours(flow)
     right = flow.viscous.residual.numpy().copy()
-    solve = flow.stages[0][len(names) + 1 :][: 1 if not flow.is_cuda else 3]
-    if flow.is_cuda:
+    (part,) = step_parts(flow)
+    solve = part.viscosity()
+    if flow.device.is_cuda:
         import warp as wp
 
         with wp.ScopedCapture(device=flow.device) as capture:
@@ -330,17 +338,18 @@ def test_viscous_solve_solves(device, dimensions):
                 stage()
         wp.capture_launch(capture.graph)
     else:
-        solve[0]()
-    change = flow.state.velocity.numpy() - velocity
-    x = flow.state.position.numpy()
+        for stage in solve:
+            stage()
+    change = flow.state.particles.velocity.numpy() - velocity
+    x = flow.state.particles.position.numpy()
     across = x.copy()
     across[:, -1] = 0
     normal = across / np.linalg.norm(across, axis=1)[:, None]
-    product = flow.diagonal.numpy()[:, None] * change
+    product = flow.matrix.diagonal.numpy()[:, None] * change
     np.subtract.at(product, rows[:, 0].astype(int), rows[:, 2:3] * change[rows[:, 1].astype(int)])
     along = change - np.sum(normal * change, axis=1)[:, None] * normal
-    product += flow.drag.numpy()[:, None] * along
-    assert (flow.drag.numpy() > 0).sum() > 20
+    product += flow.matrix.drag.numpy()[:, None] * along
+    assert (flow.matrix.drag.numpy() > 0).sum() > 20
     outcome = flow.outcomes()["viscosity"]
     assert outcome["after"] < 2e-4 * outcome["before"]
     assert np.linalg.norm(product - right) == pytest.approx(outcome["after"], rel=1e-3)
@@ -349,7 +358,7 @@ def test_viscous_solve_solves(device, dimensions):
 @pytest.mark.parametrize("name", CONCRETES)
 @pytest.mark.parametrize("spacing", [10e-3, 5e-3])
 def test_channel_agrees_with_theory(device, name, spacing):
-    run = FluidSimulation(scenes.channel(mix=name, spacing=spacing), device=device).run()
+    run = FluidSimulation(scenes.channel(concrete=name, spacing=spacing), device=device).run()
     assert run.finished and run.result["steady"]
     limit = 0.01 if spacing < 6e-3 else 0.015
     assert abs(run.result["pressure_error"]) < 0.003
@@ -372,7 +381,7 @@ def test_errors_fall_with_the_square_of_the_spacing():
 
 @pytest.mark.parametrize("mix", ["no1", "no3"])
 def test_tube_agrees_with_theory(device, mix):
-    run = FluidSimulation(scenes.tube(mix=mix, spacing=10e-3), device=device).run()
+    run = FluidSimulation(scenes.tube(concrete=mix, spacing=10e-3), device=device).run()
     assert abs(run.result["pressure_error"]) < 0.005
     assert abs(run.result["slip_velocity_error"]) < 0.01
     assert run.result["profile_error"] < 0.01
@@ -383,7 +392,7 @@ def test_newtonian_fluid_that_sticks_is_poiseuille(device):
     """No yield stress and a wall that hardly slips: a parabola, P = 3 mu U L / H^2 between planes."""
     run = FluidSimulation(
         scenes.channel(
-            mix="own", density=2000.0, viscosity=200.0, yield_stress=0.0, slip_viscosity=1e9, slip_yield=0.0,
+            concrete="own", density=2000.0, viscosity=200.0, yield_stress=0.0, slip_viscosity=1e9, slip_yield=0.0,
             spacing=5e-3, gravity=0.0, duration=0.1, flow=15e-6,
         ),
         device=device,
@@ -421,7 +430,7 @@ def test_a_channel_stays_even(device):
     """What holds left of the middle holds right of it."""
     simulation = FluidSimulation(scenes.channel(spacing=10e-3, precision="float64"), device=device)
     simulation.run()
-    x, v = simulation.state.position.numpy(), simulation.state.velocity.numpy()
+    x, v = simulation.state.particles.position.numpy(), simulation.state.particles.velocity.numpy()
     mirrored = np.lexsort([np.round(-x[:, 0], 5), np.round(x[:, 1], 5)])
     order = np.lexsort([np.round(x[:, 0], 5), np.round(x[:, 1], 5)])
     assert v[order, 1] == pytest.approx(v[mirrored, 1], abs=1e-6)
@@ -478,7 +487,7 @@ def test_a_resumed_flow_holds_the_same_bits(device, tmp_path, aggregates):
 def test_grains_are_rigid_and_stay_whole(device, dimensions):
     scene = SCENES[dimensions](
         spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, duration=0.02,
-        **({} if dimensions == 2 else {"aggregate_share": 0.1}),
+        **({} if dimensions == 2 else {"aggregate_fraction": 0.1}),
     )  # fmt: skip
     if dimensions == 3:
         big = dataclasses.replace(scene.aggregates, sizes=((20e-3, 30e-3, 1.0),))
@@ -486,9 +495,9 @@ def test_grains_are_rigid_and_stay_whole(device, dimensions):
     simulation = FluidSimulation(scene, device=device)
     simulation.prepare()
     state = simulation.state
-    before = state.position.numpy().astype(float)
+    before = state.particles.position.numpy().astype(float)
     simulation.run()
-    after, v = state.position.numpy().astype(float), state.velocity.numpy().astype(float)
+    after, v = state.particles.position.numpy().astype(float), state.particles.velocity.numpy().astype(float)
     first = state.grains.first
     assert state.grains.count > 3
     assert np.linalg.norm(after[:, :-1], axis=1).max() <= scene.radius - 0.2499 * state.layout.spacing
@@ -505,10 +514,10 @@ def test_grains_are_rigid_and_stay_whole(device, dimensions):
 def test_two_phases_keep_their_shares_and_carry_the_theory_within_three_per_cent(device):
     run = FluidSimulation(scenes.channel(spacing=5e-3, aggregates=True), device=device).run()
     share = 946 / 2630
-    assert run.result["aggregates"]["share"] == pytest.approx(share, abs=0.01)
+    assert run.result["aggregates"]["fraction"] == pytest.approx(share, abs=0.01)
     row = {k: v[-1] for k, v in run.series.items()}
     inner, outer = row["aggregate_inner"], row["aggregate_outer"]
-    assert 0.5 * (inner + outer) == pytest.approx(run.result["aggregates"]["share"], abs=0.01)
+    assert 0.5 * (inner + outer) == pytest.approx(run.result["aggregates"]["fraction"], abs=0.01)
     # Measured with three mixes at 5 mm: pressure off by 0.3 %, slip by 3 % of the mean velocity, balance 0.1 %.
     assert abs(run.result["pressure_error"]) < 0.01 and abs(run.result["force_balance_error"]) < 4e-3
     assert abs(run.result["slip_velocity_error"]) < 0.05 and run.result["profile_error"] < 0.015
@@ -545,8 +554,8 @@ def test_pressure_instead_of_flow_gives_the_flow_back(device):
         (dict(spacing=0.2), "spacing = 0.2: leaves 0.5 particles across"),
         (dict(spacing=-1.0), "spacing"),
         (dict(viscosity=0.0), "viscosity = 0.0"),
-        (dict(mix="own", density=2300.0, viscosity=300.0, yield_stress=100.0), "needs slip_viscosity, slip_yield"),
-        (dict(mix="no4"), "mix = 'no4'"),
+        (dict(concrete="own", density=2300.0, viscosity=300.0, yield_stress=100.0), "needs slip_viscosity, slip_yield"),
+        (dict(concrete="no4"), "concrete = 'no4'"),
         (dict(flow=0.0), "flow = 0.0"),
         (dict(flow=1e-3, pressure=1e4), "given together"),
         (dict(slip_thickness=3e-3), "slip_thickness"),
@@ -554,7 +563,7 @@ def test_pressure_instead_of_flow_gives_the_flow_back(device):
         (dict(length=1e-3), "length"),
         (dict(duration=0.0), "duration = 0.0"),
         (dict(sample_interval=1e-4), "sample_interval = 0.0001"),
-        (dict(aggregates=True, aggregate_share=0.7), "aggregate share"),
+        (dict(aggregates=True, aggregate_fraction=0.7), "aggregate fraction"),
         (dict(precision="float16"), "precision"),
     ],
 )
@@ -564,9 +573,15 @@ def test_refusals(dimensions, parameters, words):
         SCENES[dimensions](**parameters)
 
 
-def test_discrete_elements_refuse_a_flow():
-    with pytest.raises(SceneError, match="FluidSimulation"):
-        warpcrete.Simulation(scenes.channel())  # pyright: ignore[reportArgumentType]
+def test_the_type_of_a_scene_says_which_method_simulates_it():
+    flow, pipe = scenes.channel(spacing=20e-3), scenes.pipe()
+    assert isinstance(warpcrete.Simulation(flow, device="cpu"), FluidSimulation)
+    assert isinstance(warpcrete.Simulation(pipe, device="cpu"), ElementSimulation)
+    for kind, scene, wanted in ((FluidSimulation, pipe, "FluidScene"), (ElementSimulation, flow, "Scene")):
+        with pytest.raises(SceneError, match=f"scene = '{type(scene).__name__}': must be a {wanted}; warpcrete.Simul"):
+            kind(scene)
+    with pytest.raises(SceneError, match="scene = 'dict': must be a Scene or a FluidScene"):
+        warpcrete.Simulation({})
 
 
 @pytest.mark.parametrize("length", [0.08, 0.0849, 0.0855, 0.1, 0.13])
@@ -576,8 +591,8 @@ def test_short_columns_are_free_at_their_surface_only(device, dimensions, length
         FluidState(SCENES[dimensions](spacing=10e-3, length=length), find_device(device), "float64"), threads=1
     )
     stage_named(flow, "geometry")()
-    height = flow.state.position.numpy()[:, -1]
-    assert np.array_equal(flow.free.numpy() != 0, height > height.max() - 1e-6)
+    height = flow.state.particles.position.numpy()[:, -1]
+    assert np.array_equal(flow.matrix.free.numpy() != 0, height > height.max() - 1e-6)
     run = FluidSimulation(SCENES[dimensions](spacing=10e-3, length=length), device=device).run()
     assert run.result["steady"] and abs(run.result["pressure_error"]) < 0.02
     assert abs(run.result["volume_error"]) < 2e-3
@@ -599,17 +614,17 @@ def test_steadiness_is_judged_over_time_not_rows(device):
 
 def test_printed_scheme_halves_the_pressure(device):
     """What notebooks/fluid.md says of it: a factor of 2 in the gradient, and volume that is lost."""
-    run = FluidSimulation(scenes.channel(spacing=10e-3, literal=True, duration=0.2), device=device).run()
+    run = FluidSimulation(scenes.channel(spacing=10e-3, paper_scheme=True, duration=0.2), device=device).run()
     assert -0.55 < run.result["pressure_error"] < -0.4
     assert run.result["volume_error"] < -2e-4
-    assert run.scene.literal and not scenes.channel().literal
+    assert run.scene.paper_scheme and not scenes.channel().paper_scheme
 
 
 def test_tolerance_is_what_the_pressure_is_solved_to(device):
     counts = []
     for tolerance in (1e-1, 1e-3, 1e-6):
         flow = flow_of(device, tolerance=tolerance)
-        flow.advance(1)
+        flow.take(1)
         found = flow.outcomes()["pressure"]
         assert found["after"] <= tolerance * found["before"] * 1.01
         counts.append(found["iterations"])
@@ -625,18 +640,14 @@ def test_errors_of_solves_travel_between_processes():
 
 
 def test_what_does_not_fit_is_refused_before_it_is_allotted(monkeypatch):
-    from warpcrete.mps import particles as mps
-
-    monkeypatch.setattr(mps, "memory_free", lambda device: 1e5)
+    monkeypatch.setattr("warpcrete.mps.particles.memory_free", lambda device: 1e5)
     with pytest.raises(CapacityError, match=r"particles = 1200: need about .* GiB"):
         FluidSimulation(scenes.channel(), device="cpu").run()
 
 
 def test_a_solve_that_does_not_converge_says_how_it_went(device, tmp_path):
-    from warpcrete.record.run_folder import TableRecorder, read_json
-
     simulation = FluidSimulation(
-        scenes.channel(spacing=5e-3, most_iterations=4), device=device, recorders=[TableRecorder(tmp_path / "r")]
+        scenes.channel(spacing=5e-3, maximum_iterations=4), device=device, recorders=[TableRecorder(tmp_path / "r")]
     )
     with pytest.raises(ConvergenceError, match=r"the viscosity solve did not converge in 4 iterations") as caught:
         simulation.run()

@@ -9,38 +9,123 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-ALLOWED = {"kernels": {"kernels"}, "warpcrete": {"kernels", "warpcrete"}, "scenes": {"kernels", "warpcrete", "scenes"}}
+LAYERS = {
+    "kernels.common": 0, "core": 1, "geometry": 2, "kernels.dem": 2, "kernels.mps": 2, "dem": 3, "mps": 3, "scenes": 4,
+    "methods": 4, "verification": 5, "record": 5, "studies": 6, "cli": 7, "": 8,
+}  # fmt: skip
+"""Packages of the house, and how high they stand: each imports from lower ones only. The package itself is on top."""
+ALONE = {("dem", "kernels.mps"), ("mps", "kernels.dem"), ("geometry", "kernels.dem"), ("geometry", "kernels.mps"),
+         ("kernels.dem", "core"), ("kernels.mps", "core"), ("kernels.dem", "geometry"), ("kernels.mps", "geometry"),
+         ("scenes", "methods"), ("record", "verification")}  # fmt: skip
+"""What a package imports nothing of although that stands lower: methods know nothing of each other, kernels of all."""
 
 
-def imported_rooms(path: Path, room: str):
-    """Rooms (top-level folders) of the house that a file imports."""
+def modules() -> dict[str, Path]:
+    """Every module of the project by its name below `warpcrete`, the package itself as ``."""
+    found = {}
+    for folder, prefix in (("warpcrete", ""), ("kernels", "kernels"), ("scenes", "scenes")):
+        for path in (ROOT / folder).rglob("*.py"):
+            parts = [part for part in (prefix, *path.relative_to(ROOT / folder).with_suffix("").parts) if part]
+            if parts[-1] == "__init__":
+                parts.pop()
+            found[".".join(parts)] = path
+    return found
+
+
+MODULES = modules()
+
+
+def package_of(module: str) -> str:
+    """The package of the house that a module belongs to."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] == "kernels" and len(parts) > 1 else parts[0]
+
+
+def imports(module: str) -> set[str]:
+    """Modules of the project that a module imports, wherever the statement stands."""
+    path = MODULES[module]
+    here = module.split(".") if module else []
+    if path.name != "__init__.py":
+        here = here[:-1]
+    found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         names = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            if node.level:
-                base = {"kernels": "warpcrete.kernels", "scenes": "warpcrete.scenes", "warpcrete": "warpcrete"}[room]
-                base += ".verification" if path.parent.name == "verification" else ""
-                base = ".".join(base.split(".")[: len(base.split(".")) - node.level + 1])
-                names = [f"{base}.{node.module}"] if node.module else [f"{base}.{a.name}" for a in node.names]
-            else:
-                names = [node.module or ""]
+            base = ["warpcrete", *here[: len(here) - node.level + 1]] if node.level else []
+            base = ".".join([*base, *([node.module] if node.module else [])])
+            names = [f"{base}.{alias.name}" for alias in node.names]
         for name in names:
-            parts = name.split(".")
-            if parts[0] == "warpcrete":
-                yield parts[1] if len(parts) > 1 and parts[1] in ("kernels", "scenes") else "warpcrete"
-            elif parts[0] in ALLOWED:
-                yield f"{name} (must be warpcrete.{name})"
+            assert name.split(".")[0] not in ("kernels", "scenes"), f"{module}: {name} must be warpcrete.{name}"
+            if name.split(".")[0] == "warpcrete":
+                target = name.partition(".")[2]
+                while target and target not in MODULES:
+                    target = target.rpartition(".")[0]
+                found.add(target)
+    return found - {module}
 
 
-@pytest.mark.parametrize("room", ALLOWED)
-def test_imports_point_one_way(room):
-    # Packages inside warpcrete/ import as one level deeper; kernels and scenes are links there.
-    inner = [] if room != "warpcrete" else list((ROOT / room / "verification").glob("*.py"))
-    for path in [*(ROOT / room).glob("*.py"), *inner]:
-        wrong = set(imported_rooms(path, room)) - ALLOWED[room]
-        assert not wrong, f"{path.name} imports {wrong}"
+@pytest.mark.parametrize("package", LAYERS)
+def test_imports_point_one_way(package):
+    own = [module for module in MODULES if package_of(module) == package]
+    assert own or package == ""
+    for module in own:
+        for target in imports(module):
+            other = package_of(target)
+            if other in (package, "kernels"):
+                continue
+            allowed = LAYERS[other] < LAYERS[package] and (package, other) not in ALONE
+            assert allowed, f"{module} imports {target}"
+
+
+def test_no_module_imports_itself_in_a_circle():
+    waiting = {module: {target for target in imports(module) if target} for module in MODULES}
+    # A package's __init__ gathers what its own modules hold; to import one of them is not to import the package.
+    for module, targets in waiting.items():
+        targets -= {target for target in targets if module.startswith(f"{target}.")}
+    while free := [module for module, targets in waiting.items() if not targets & waiting.keys()]:
+        for module in free:
+            del waiting[module]
+    assert not waiting, f"in circles, or above one: {sorted(waiting)}"
+
+
+def test_no_part_of_the_program_asks_which_method_it_has():
+    """The scene's type says it, in one place."""
+    for module, path in MODULES.items():
+        if package_of(module) in ("core", "record", "studies", "cli", "methods"):
+            text = path.read_text()
+            for word in ("FluidScene", "FluidSimulation", "ElementSimulation", "slip_velocity", 'plateau_pressure" in'):
+                assert word not in text, f"{path.name} names {word}"
+
+
+def test_every_array_says_what_it_is():
+    """Meaning, unit and shape: a comment for each member of a struct of arrays, a docstring for each typed array."""
+    counted = 0
+    for path in (ROOT / "kernels").rglob("structs.py"):
+        for line in path.read_text().splitlines():
+            if ": wp.array" in line and "def " not in line:
+                counted += 1
+                name = line.split(":")[0].strip()
+                group = ("near_count", "near", "far_count", "wall_count")
+                assert "#" in line or name in group, f"{path}: {line.strip()}"
+    for module in ("dem.state", "dem.model", "dem.batch", "mps.state", "mps.particles"):
+        for node in ast.walk(ast.parse(MODULES[module].read_text())):
+            if isinstance(node, ast.ClassDef):
+                for statement, after in zip(node.body, [*node.body[1:], None]):
+                    if isinstance(statement, ast.AnnAssign) and "wp.array" in ast.unparse(statement.annotation):
+                        counted += 1
+                        said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                        assert said, f"{module}: {ast.unparse(statement)}"
+    assert counted > 90
+
+
+def test_kernel_factories_are_short():
+    for path in (ROOT / "kernels").rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.FunctionDef):
+                lines = node.end_lineno - node.lineno + 1
+                assert lines < 120, f"{path.name}: {node.name} has {lines} lines"
 
 
 def test_kernels_refuse_another_name():
@@ -49,7 +134,7 @@ def test_kernels_refuse_another_name():
 
 
 def test_kernels_evaluate_their_annotations():
-    for path in (ROOT / "kernels").glob("*.py"):
+    for path in [*(ROOT / "kernels").rglob("*.py"), *(ROOT / "warpcrete/dem/laws").glob("*.py")]:
         assert "from __future__ import annotations" not in path.read_text(), path.name
 
 
@@ -87,15 +172,9 @@ def test_wheel_holds_the_package_and_nothing_else(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info" not in name}
     wanted = {
-        f"{target}/{path.name}"
-        for room, target in (
-            ("warpcrete", "warpcrete"),
-            ("kernels", "warpcrete/kernels"),
-            ("scenes", "warpcrete/scenes"),
-            ("warpcrete/verification", "warpcrete/verification"),
-        )
-        for path in (ROOT / room).glob("*.py")
+        f"warpcrete/{path.relative_to(ROOT)}" for room in ("kernels", "scenes") for path in (ROOT / room).rglob("*.py")
     }
+    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete").rglob("*.py")}
     assert names == wanted
     assert any(name.endswith("licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 
@@ -134,7 +213,9 @@ def test_error_messages_name_field_value_and_range():
 
     with pytest.raises(SceneError, match=r"^diameter = -1\.0: must be a finite number above 0 m$"):
         scenes.pipe(diameter=-1)
-    with pytest.raises(SceneError, match=r"^unit = 'x': must be one of vertical, horizontal, elbow-up, elbow-down$"):
+    with pytest.raises(
+        SceneError, match=r"^unit = 'x': must be one of vertical, horizontal, bend-to-horizontal, bend-to-vertical$"
+    ):
         scenes.pipe(unit="x")
 
 

@@ -62,7 +62,7 @@ def recorded(tmp_path_factory):
     return folder, done
 
 
-@pytest.mark.parametrize("unit", ["vertical", "horizontal", "elbow-up", "elbow-down"])
+@pytest.mark.parametrize("unit", ["vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical"])
 def test_every_unit_pumps_and_balances_momentum(device, unit):
     run = Simulation(scenes.pipe(unit=unit, **SMALL), device=device).run()
     assert run.finished and len(run.series["time"]) > 20
@@ -234,7 +234,7 @@ BAD = [
     (["--friction", "-1"], "friction = -1.0"),
     (["--shapes", "cubes"], "shapes = 'cubes'"),
     (["--sizes", "5:0,20"], "sizes = '5:0,20'"),
-    (["--wall", "missing.stl"], "wall = 'missing.stl'"),
+    (["--wall", "missing.stl"], "missing.stl': is no file"),
     (["--hydration", "1.5"], "hydration"),
     (["--time-step", "0.01"], "time_step = 0.01"),
     (["--unit", "elbow-up", "--travel", "2"], "travel = 2.0"),
@@ -248,7 +248,7 @@ BAD = [
     (["--live", "nowhere"], "live = 'nowhere'"),
     (["--sizes", "5:0,nan:0.4,20:1"], "openings"),
     (["--plug-pressure", "1e6"], "packing pressure"),
-    (["--unit", "C", "--pipeline-vertical", "100"], "unit = 'elbow-up'"),
+    (["--unit", "C", "--pipeline-vertical", "100"], "unit = 'bend-to-horizontal'"),
     (["--plug", "none", "--plug-ball", "-3"], "plug_ball = -3.0"),
     (["--elbow-radius", "0.03", "--unit", "C", "--travel", "0.01"], "elbow_radius = 0.03"),
 ]

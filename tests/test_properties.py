@@ -29,7 +29,7 @@ PARTS = {
     ),
     HertzMindlin: ("effective_modulus", "effective_shear_modulus", "friction", "restitution", "unloading"),
     LubricationLayer: ("yield_stress", "viscosity"),
-    BinghamMortar: ("effective_modulus", "shell_share", "shell_modulus", "yield_stress", "plastic_viscosity"),
+    BinghamMortar: ("effective_modulus", "shell_fraction", "shell_modulus", "yield_stress", "plastic_viscosity"),
     Bonds: (
         "effective_modulus", "tensile_strength", "cohesion", "friction_angle", "radius_multiplier", "moment_factor",
         "gap",
@@ -135,8 +135,8 @@ def test_small_random_scenes_run_or_stop_with_our_own_error(scene):
         return
     assert run.finished
     state = simulation.state
-    for name in ("body_position", "body_velocity", "body_spin"):
-        assert np.all(np.isfinite(getattr(state, name).numpy())), name
+    for name in ("position", "velocity", "spin"):
+        assert np.all(np.isfinite(getattr(state.bodies, name).numpy())), name
     assert np.allclose(np.linalg.norm(state.bodies.orientation.numpy(), axis=1), 1, atol=1e-5)
     assert sorted(state.bodies.id.numpy()) == list(range(state.body_count))
     for column in ("kinetic_energy", "elastic_energy", "bond_energy"):

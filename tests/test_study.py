@@ -22,7 +22,11 @@ def test_cases_are_all_combinations_or_one_parameter_at_a_time():
     assert len(cases) == 12 and len({c.name for c in cases}) == 12
     assert {c.parameters["seed"] for c in cases} == {3, 4}
     cases = cases_of({}, {"velocity": [0.1, 0.2], "diameter": [0.1, 0.15, 0.2]}, one_at_a_time=True)
-    assert len(cases) == 5 and all(len(c.varied) == 1 for c in cases)
+    assert len(cases) == 5 and all(c.varied.keys() == {"velocity", "diameter"} for c in cases)
+    # A point that both share, the baseline, is run once, and every case says what the held parameter is.
+    cases = cases_of({}, {"velocity": [0.1, 0.2], "diameter": [0.1, 0.15]}, one_at_a_time=True,
+                     defaults={"velocity": 0.1, "diameter": 0.15})  # fmt: skip
+    assert [tuple(c.varied.values()) for c in cases] == [(0.1, 0.15), (0.2, 0.15), (0.1, 0.1)]
     with pytest.raises(SceneError, match="velocity"):
         cases_of({}, {"velocity": [0.1, 0.1]})
     with pytest.raises(SceneError, match="repeat"):
@@ -38,9 +42,9 @@ def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
     assert {p.name for p in out.iterdir() if p.is_file()} == {"study.json", "study.csv", "study.md", "study.png"}
     rows = study.rows()
     assert [row["velocity"] for row in rows] == [0.3, 0.6] and all(row["runs"] == 2 for row in rows)
-    seeds = [study.results[c.name]["plateau_pressure"]["value"] for c in study.cases if c.varied == {"velocity": 0.3}]
-    assert rows[0]["plateau_pressure"] == pytest.approx(np.mean(seeds))
-    assert rows[0]["plateau_pressure_scatter"] == pytest.approx(np.std(seeds, ddof=1))
+    seeds = [study.results[c.name]["peak_pressure"]["value"] for c in study.cases if c.varied == {"velocity": 0.3}]
+    assert rows[0]["peak_pressure"] == pytest.approx(np.mean(seeds))
+    assert rows[0]["peak_pressure_scatter"] == pytest.approx(np.std(seeds, ddof=1))
     # A case holds the bits of the same scene run alone.
     from warpcrete import Simulation
 
@@ -88,7 +92,7 @@ def test_the_study_command(tmp_path):
         "study", "pipe", "--velocity", "0.3", "0.6", *options, "--device", "cpu", "--out", str(out), "--quiet"
     )
     assert done.returncode == 0, done.stderr
-    assert "| velocity | peak [kPa] | plateau [kPa] | runs | failed |" in done.stdout
+    assert "| velocity [m/s] | peak [kPa] | plateau [kPa] | runs | failed | suspect |" in done.stdout
     assert "2 of 2 cases done" in done.stdout
     record = json.loads((out / "study.json").read_text())
     assert [c["varied"] for c in record["cases"]] == [{"velocity": 0.3}, {"velocity": 0.6}]

@@ -46,7 +46,7 @@ def test_any_number_of_threads_moves_the_same(packing, threads):
     assert many.batch.threads == threads and len(many.state.chunks) == threads + 1
     assert one.state.spheres.broken.numpy().sum() == many.state.spheres.broken.numpy().sum() > 10
     # Sums in another order: rounding, grown by 400 steps.
-    assert np.abs(by_id(one.state, "body_position") - by_id(many.state, "body_position")).max() < 1e-9
+    assert np.abs(by_id(one.state, "position") - by_id(many.state, "position")).max() < 1e-9
     singles, copies = pair_history(one.state), pair_history(many.state)
     assert len(many.state.pairs.other.numpy()[: many.state.pair_total]) > len(copies)  # some stand at both spheres
     touching = {key for key, value in singles.items() if np.any(np.frombuffer(value[0]))}
@@ -71,7 +71,7 @@ def test_a_chunk_may_be_empty():
     for threads in (1, 2):
         stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(), threads=threads)
         stepper.take(20)
-        places.append(by_id(stepper.state, "body_position"))
+        places.append(by_id(stepper.state, "position"))
     assert np.diff(stepper.batch.sphere_chunks).tolist() == [364, 0]
     assert np.abs(places[0] - places[1]).max() < 1e-12
 
@@ -79,7 +79,7 @@ def test_a_chunk_may_be_empty():
 def test_a_number_of_threads_gives_the_same_bits_every_time(packing):
     runs = [flow(packing, 3) for _ in range(3)]
     for other in runs[1:]:
-        for name in ("body_position", "body_velocity", "body_spin"):
+        for name in ("position", "velocity", "spin"):
             assert np.array_equal(by_id(runs[0].state, name), by_id(other.state, name))
         assert pair_history(runs[0].state) == pair_history(other.state)
 
@@ -91,7 +91,7 @@ def test_momentum_is_kept_across_chunks(packing):
     stepper = Stepper(model, State(model, table), TimeStep(fixed=2e-5), threads=4)
     stepper.take(300)
     sums = body_sums(stepper.model, stepper.state)
-    speed = np.linalg.norm(by_id(stepper.state, "body_velocity"), axis=1)
+    speed = np.linalg.norm(by_id(stepper.state, "velocity"), axis=1)
     assert speed.max() > 1e-4
     assert np.linalg.norm(sums.momentum) < 1e-12 * float(speed @ stepper.state.bodies.mass.numpy())
 

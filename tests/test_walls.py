@@ -81,7 +81,7 @@ def test_rolling_over_a_triangulated_plane_is_rolling_over_a_plane(start, device
         )
         stepper = start(scene, precision)
         stepper.advance(0.08)
-        paths.append([by_id(stepper.state, f"body_{n}")[0].astype(float) for n in ("position", "velocity", "spin")])
+        paths.append([by_id(stepper.state, n)[0].astype(float) for n in ("position", "velocity", "spin")])
     for flat_value, mesh_value in zip(*paths):
         error = np.abs(mesh_value - flat_value).max() / np.abs(flat_value).max()
         # Measured 9e-7 and 0. On a GPU the plane, not the mesh, is handled with approximate division and root, off by
@@ -183,12 +183,10 @@ def test_centre_pushed_through_a_mesh_is_pushed_back(start):
     lowest = 0.0
     for _ in range(1300):
         stepper.take(1)
-        lowest = min(lowest, by_id(stepper.state, "body_position")[0, 2])
+        lowest = min(lowest, by_id(stepper.state, "position")[0, 2])
     assert lowest == pytest.approx(RADIUS - 1.3 * RADIUS, rel=1e-3)  # 0.3 radii below the floor
-    assert by_id(stepper.state, "body_position")[0, 2] > RADIUS
-    assert by_id(stepper.state, "body_velocity")[0, 2] == pytest.approx(
-        math.sqrt(K_WALL / MASS) * 1.3 * RADIUS, rel=1e-3
-    )
+    assert by_id(stepper.state, "position")[0, 2] > RADIUS
+    assert by_id(stepper.state, "velocity")[0, 2] == pytest.approx(math.sqrt(K_WALL / MASS) * 1.3 * RADIUS, rel=1e-3)
 
 
 def test_prescribed_translation_and_rotation_follow_the_ramp(start):
@@ -236,7 +234,7 @@ def test_moving_mesh_keeps_its_contacts(start):
     )
     stepper = start(scene, skin=0.35 * RADIUS)
     stepper.advance(1.0)
-    lift = by_id(stepper.state, "body_position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
+    lift = by_id(stepper.state, "position")[0, 2] - stepper.state.walls.position.numpy()[0, 2]
     assert stepper.state.walls.position.numpy()[0, 2] > 10 * stepper.mesh_skin
     assert lift == pytest.approx(RADIUS - MASS * 9.81 / K_WALL, rel=1e-5)
 
@@ -287,7 +285,7 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start):
     stepper = start(scene)
     stepper.advance(0.05)
     impulse, angular = stepper.state.walls.impulse.numpy()[0], stepper.state.walls.angular_impulse.numpy()[0]
-    change = MASS * (by_id(stepper.state, "body_velocity")[0] - [0, 0, -0.5])
+    change = MASS * (by_id(stepper.state, "velocity")[0] - [0, 0, -0.5])
     assert -impulse == pytest.approx(change, rel=1e-9, abs=1e-12)
     assert angular == pytest.approx(np.cross([0.2, 0, 0], impulse), rel=1e-9, abs=1e-12)
 

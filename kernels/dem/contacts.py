@@ -95,7 +95,8 @@ def pair_functions(scalar):
 
 @functools.cache
 def parting_function(scalar, law, half: bool, history: bool, healing: bool, losses: bool):
-    """`part`: a pair of the list that touched in the last step and does not any more; the energy that it loses [J]."""
+    """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
+    `block` to `end`; the energy that they lose [J]."""
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -139,7 +140,31 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, loss
                 pairs.bond[k] = 0  # may bond again at the next touch
         return lost
 
-    return part
+    @wp.func
+    def part_entries(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Parameters),
+        row: wp.int32,
+        base: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        radius: scalar,
+        mass: scalar,
+        block: wp.int32,
+        end: wp.int32,
+        bits: wp.int32,
+    ):
+        lost = wp.float64(0.0)
+        left = bits
+        while left != 0:
+            k = block + lowest_bit(left)
+            left = left & (left - 1)
+            if k < end:
+                lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
+        return lost
+
+    return part_entries
 
 
 @functools.cache
@@ -248,38 +273,45 @@ def closeness_function(scalar, bonds: bool):
 
 
 @functools.cache
+def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool, losses: bool):
+    """Everything that :func:`contact_kernel` calls."""
+    structs = array_structs(scalar)
+    law = pair_law.functions(scalar)
+    analytic = analytic_wall_functions(scalar, wall_law, losses)
+    rows = row_functions(scalar)
+    return SimpleNamespace(
+        Scenes=structs.Scenes, Spheres=structs.Spheres, Slots=structs.Slots, Pairs=structs.Pairs, Walls=structs.Walls,
+        Parameters=law.Parameters, WallParameters=wall_law.functions(scalar).Parameters,
+        Bond=bond_functions(scalar).Bond, Segment=analytic.Segment,
+        pair_touch=pair_functions(scalar).pair_touch, contact_force=law.force,
+        close_entries=closeness_function(scalar, bonds),
+        part_entries=parting_function(scalar, pair_law, half, history, healing, losses),
+        bonded=bonded_function(scalar, healing, losses),
+        far_from_walls=analytic.far_from_walls, on_walls=analytic.on_walls,
+        read_int=rows.read_int, read_vec3=rows.read_vec3, read_vec4=rows.read_vec4, write_vec3=rows.write_vec3,
+    )  # fmt: skip
+
+
+def contact_options(half: bool) -> dict:
+    """Of the compiler. A GPU's exact division and root are subroutines that take most of a contact's time; those of
+    `fast_math` are off by two units in the last place, in single precision only."""
+    return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
+
+
+@functools.cache
 def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
                    walls_too: bool, losses: bool):  # fmt: skip
     """Kernel over spheres: contact forces [N] and moments about sphere centres [N m].
 
-    In the half list they are added to `spheres.force` and `spheres.moment`, else they replace what stands there. With
-    `losses` it also adds up the energy that friction, dashpots and breaking bonds take [J]. `first` and `last` bound
-    the chunk of spheres that this launch owns, `part` is its number.
+    In the half list they are added to what stands there, else they replace it. With `losses` it also adds up the energy
+    that friction, dashpots and breaking bonds take [J]. The launch owns spheres `first` to `last`, chunk `part`.
     """
-    t = types(scalar)
-    span = SPAN if half else 1
-    structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Pairs, Walls = (
-        structs.Scenes, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
-    )  # fmt: skip
-    law = pair_law.functions(scalar)
-    Parameters, contact_force = law.Parameters, law.force
-    WallParameters = wall_law.functions(scalar).Parameters
-    Bond = bond_functions(scalar).Bond
-    analytic = analytic_wall_functions(scalar, wall_law, losses)
-    Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
-    pair_touch = pair_functions(scalar).pair_touch
-    close_entries = closeness_function(scalar, bonds)
-    part_pair = parting_function(scalar, pair_law, half, history, healing, losses)
-    bonded = bonded_function(scalar, healing, losses)
-    rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+    t, span = types(scalar), SPAN if half else 1
+    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, losses)
+    Parameters, WallParameters, Bond, Segment = f.Parameters, f.WallParameters, f.Bond, f.Segment
+    Scenes, Spheres, Slots, Pairs, Walls = f.Scenes, f.Spheres, f.Slots, f.Pairs, f.Walls
 
-    # A GPU's exact division and root are subroutines that take most of a contact's time; those of `fast_math` are
-    # off by two units in the last place, in single precision only.
-    options = {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=options)
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(half))
     def contacts(
         # model
         pair_parameters: wp.array(dtype=Parameters),
@@ -306,9 +338,9 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                 continue
             base = scenes.row[s].spheres
             dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
-            position_i = read_vec4(spheres.position, i)
-            velocity_i = read_vec4(spheres.velocity, i)
-            spin_i = read_vec3(spheres.spin, i)
+            position_i = f.read_vec4(spheres.position, i)
+            velocity_i = f.read_vec4(spheres.velocity, i)
+            spin_i = f.read_vec3(spheres.spin, i)
             row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
             force_i = t.vec3()
             moment_i = t.vec3()
@@ -319,50 +351,39 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
             if wp.static(history or healing):
                 before = spheres.touching[i]
             for block in range(begin, end, BLOCK):
-                bits = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
+                bits = f.close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                 if wp.static(history or healing):
                     parted = wp.static(ALL_TOUCHED) & ~bits
                     if block == begin:
                         parted = parted & before
                         if bits != before:
                             spheres.touching[i] = bits
-                    while parted != 0:
-                        k = block + lowest_bit(parted)
-                        parted = parted & (parted - 1)
-                        if k < end:
-                            lost_i += part_pair(
-                                spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3],
-                                k,
-                            )  # fmt: skip
+                    lost_i += f.part_entries(
+                        spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3], block,
+                        end, parted,
+                    )  # fmt: skip
                 while bits != 0:
                     k = block + lowest_bit(bits)
                     bits = bits & (bits - 1)
-                    entry = read_int(pairs.other, k)
+                    entry = f.read_int(pairs.other, k)
                     j = base + decode(entry)
-                    own = entry >= 0  # this copy of the pair is the one that counts
-                    shared = wp.bool(False)
-                    if wp.static(half):
-                        shared = j >= first and j < last
-                        own = own or shared
-                    sign = scalar(1.0)
-                    if entry < 0:
-                        sign = scalar(-1.0)
-                    spin_j = read_vec3(spheres.spin, j)
-                    pair = pair_touch(
-                        position_i, velocity_i, spin_i, read_vec4(spheres.position, j), read_vec4(spheres.velocity, j),
-                        spin_j, sign, dt,
-                    )  # fmt: skip
+                    shared = wp.static(half) and j >= first and j < last
+                    own = entry >= 0 or shared  # this copy of the pair is the one that counts
+                    sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
+                    spin_j = f.read_vec3(spheres.spin, j)
+                    position_j, velocity_j = f.read_vec4(spheres.position, j), f.read_vec4(spheres.velocity, j)
+                    pair = f.pair_touch(position_i, velocity_i, spin_i, position_j, velocity_j, spin_j, sign, dt)
                     old_history = t.vec3()
                     if wp.static(history):
-                        old_history = read_vec3(pairs.history, k)
-                    total, new_history, lost = contact_force(
-                        pair_parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
+                        old_history = f.read_vec3(pairs.history, k)
+                    total, new_history, lost = f.contact_force(
+                        pair_parameters[row + f.read_int(spheres.material, j)], pair.touch, old_history, dt
                     )
                     if wp.static(history):
-                        write_vec3(pairs.history, k, new_history)
+                        f.write_vec3(pairs.history, k, new_history)
                     bond_moment = t.vec3()
                     if wp.static(bonds):
-                        total, bond_moment, lost = bonded(
+                        total, bond_moment, lost = f.bonded(
                             spheres, pairs, bond_parameters, scenes.row[s].bonds, i, k, own, pair,
                             sign * (spin_j - spin_i), total, lost, dt,
                         )  # fmt: skip
@@ -374,13 +395,13 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                     moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
                     if wp.static(half):
                         if shared:
-                            write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
-                            other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
-                            write_vec3(spheres.moment, j, other_moment)
+                            f.write_vec3(spheres.force, j, f.read_vec3(spheres.force, j) - sign * total)
+                            other_moment = f.read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
+                            f.write_vec3(spheres.moment, j, other_moment)
             if wp.static(walls_too):
-                far = far_from_walls(position_i, read_vec4(spheres.clear, i))
+                far = f.far_from_walls(position_i, f.read_vec4(spheres.clear, i))
                 if not far or scenes.row[s].still == 0:
-                    wall_force, wall_moment, wall_lost = on_walls(
+                    wall_force, wall_moment, wall_lost = f.on_walls(
                         i, scenes.row[s], far, part, dt, scenes.clock[s, FORCE_SCALE], wall_parameters, segments,
                         spheres, slots, walls,
                     )  # fmt: skip
@@ -390,10 +411,10 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
             if wp.static(losses):
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost_i
             if wp.static(half):
-                write_vec3(spheres.force, i, read_vec3(spheres.force, i) + force_i)
-                write_vec3(spheres.moment, i, read_vec3(spheres.moment, i) + moment_i)
+                f.write_vec3(spheres.force, i, f.read_vec3(spheres.force, i) + force_i)
+                f.write_vec3(spheres.moment, i, f.read_vec3(spheres.moment, i) + moment_i)
             else:
-                write_vec3(spheres.force, i, force_i)
-                write_vec3(spheres.moment, i, moment_i)
+                f.write_vec3(spheres.force, i, force_i)
+                f.write_vec3(spheres.moment, i, moment_i)
 
     return contacts

@@ -141,6 +141,27 @@ def face_function(scalar):
 
 
 @functools.cache
+def history_function(scalar):
+    """`history_of`: that of the old contact of sphere i with a wall whose normal is nearest to `n`."""
+    t = types(scalar)
+    Slots = array_structs(scalar).Slots
+
+    @wp.func
+    def history_of(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
+        history = t.vec3()
+        best = scalar(wp.static(MERGE_COSINE))
+        for o in range(MESH_SLOTS):
+            if slots.wall[i, analytic + o] == wall:
+                c = wp.dot(slots.normal[i, analytic + o], n)
+                if c > best:
+                    best = c
+                    history = slots.history[i, analytic + o]
+        return history
+
+    return history_of
+
+
+@functools.cache
 def mesh_kernel(scalar, law, half: bool, losses: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
@@ -151,6 +172,7 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
     touch_of_face = face_function(scalar)
+    history_of = history_function(scalar)
     surface_touch = surface_touch_function(scalar)
     xyz = vector_functions(scalar).xyz
     add_to_wall = wall_force_function(scalar)
@@ -234,16 +256,8 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
-                # History belongs to the old contact on this wall with the nearest normal.
-                history = t.vec3()
-                best = scalar(wp.static(MERGE_COSINE))
-                for o in range(MESH_SLOTS):
-                    if slots.wall[i, analytic + o] == w - wall_base:
-                        c = wp.dot(slots.normal[i, analytic + o], n)
-                        if c > best:
-                            best = c
-                            history = slots.history[i, analytic + o]
                 gap = gaps[s]
+                history = history_of(slots, i, analytic, w - wall_base, n)
                 touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
                 f, new_history, lost = contact_force(wall_parameters[row + walls.table[w].material], touch, history, dt)
                 histories[s] = new_history

@@ -36,6 +36,22 @@ def find_function(scalar, half: bool):
     return find
 
 
+@wp.func
+def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
+    """Put an entry into a row that so far has `found`, in its place.
+
+    Rows ascend, whatever the order in which the grid finds neighbours: the sums of a step then do not depend on the
+    grid, which scenes of a batch share.
+    """
+    k = row + found
+    for ahead in range(found):
+        if other[k - 1] < entry:
+            break
+        other[k] = other[k - 1]
+        k = k - 1
+    other[k] = entry
+
+
 @functools.cache
 def search_kernels(scalar, half: bool, bonds: bool):
     """Kernels ``count`` and ``search``.
@@ -71,18 +87,6 @@ def search_kernels(scalar, half: bool, bonds: bool):
                 if wp.length_sq(beyond) < reach * reach:
                     return True
         return False
-
-    @wp.func
-    def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
-        """Rows ascend, whatever the order in which the grid finds neighbours: the sums of a step then do not depend on
-        the grid, which scenes of a batch share."""
-        k = row + found
-        for ahead in range(found):
-            if other[k - 1] < entry:
-                break
-            other[k] = other[k - 1]
-            k = k - 1
-        other[k] = entry
 
     def kernel(write: bool):
         @wp.kernel(module="unique", enable_backward=False)

@@ -67,12 +67,17 @@ class Batch:
     face_wall: wp.array
     """Wall that a triangle belongs to, shape (faces,)."""
     pair_parameters: wp.array
-    """Of all scenes, as those of a :class:`Model`, this and the next six."""
+    """Contact laws between bodies, of all scenes one after the other; as the next five those of a :class:`Model`."""
     wall_parameters: wp.array
+    """Contact laws of bodies with walls."""
     bond_parameters: wp.array
+    """Kinds of bonds."""
     segments: wp.array
+    """Pieces of the axes of pipes and drives."""
     drive_axis: wp.array
+    """Pieces of each group's axis: first and how many, shape (groups, 2)."""
     drive_force: wp.array
+    """Force along it, shared by the group [N]."""
     rows: np.ndarray
     """Host copy of `scenes.row`."""
     slot_scene: wp.array

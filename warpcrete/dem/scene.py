@@ -131,6 +131,8 @@ class Bodies:
 class TimeStep(Declared):
     """How the step size is chosen."""
 
+    called = "time_step"
+
     fixed: Annotated[float | None, "[s]; None: from masses and live stiffness"] = None
     safety: Annotated[
         float, "of the estimated stable step; above 1 overrules the estimate, also for a fixed step", Within(1e-3, 10)

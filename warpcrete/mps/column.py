@@ -13,7 +13,7 @@ from ..core.parameters import Above, Alias, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
 from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, mortar_of
-from .scene import Aggregates, FlowSettings, FluidScene
+from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
 from .theory import MIXES, Concrete, Line, flow_of_pressure
 
 FLOW = 1500e-6
@@ -141,6 +141,8 @@ def column_scene(
         aggregates=given.coarse(concrete, dimensions),
         published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
         parameters=asdict(given),
+        # The printed scheme balances no forces, which is what it is run to show.
+        watch=FlowWatch(force_balance=None) if given.paper_scheme else FlowWatch(),
         **settings,
     )
 

@@ -34,13 +34,18 @@ LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next;
 
 def step_stages(particles: Any) -> Step:
     """Stages of one step of :class:`MovingParticles` on the arrays that there are now, a list for each thread."""
+    return [part.step() for part in step_parts(particles)]
+
+
+def step_parts(particles: Any) -> list[StepPart]:
+    """What each thread does in a step."""
     p = particles
     meet = barrier_stage(p.threads, p.device)
     rows = [p.count * k // p.threads for k in range(p.threads + 1)]
-    return [_Part(p, k, rows[k], rows[k + 1], meet).step() for k in range(p.threads)]
+    return [StepPart(p, k, rows[k], rows[k + 1], meet) for k in range(p.threads)]
 
 
-class _Part:
+class StepPart:
     """What one thread does in a step: rows `first` to `end`, and what only the first part does for all."""
 
     def __init__(self, particles: Any, part: int, first: int, end: int, meet: list[Stage]) -> None:

@@ -7,73 +7,17 @@ every device and in both precisions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator
 
-from ..core.device import find_device
 from ..core.errors import WarpcreteError
-from ..dem.bodies import placed_bodies
-from ..dem.model import build_model
-from ..dem.scene import Scene
-from ..dem.state import State
-from ..dem.stepper import Stepper
+from . import assemblies, bonds, clumps, contacts, flows, impacts, stability
+from .case import Case, Row
 
-
-@dataclass(frozen=True)
-class Row:
-    """One figure: ours beside the expected one."""
-
-    quantity: str
-    ours: float
-    expected: float
-    tolerance: float
-    """Allowed |ours - expected|, relative to |expected| or, with `scale`, to that."""
-    unit: str = "1"
-    scale: float | None = None
-    at_least: bool = False
-    """Only less than expected is an error."""
-
-    @property
-    def error(self) -> float:
-        """|ours - expected| over |expected| or `scale`."""
-        if self.at_least and self.ours >= self.expected:
-            return 0.0
-        return abs(self.ours - self.expected) / (abs(self.expected) if self.scale is None else self.scale)
-
-    @property
-    def passed(self) -> bool:
-        """Whether the error is within the tolerance; NaN is not."""
-        return self.error <= self.tolerance
-
-
-@dataclass(frozen=True)
-class Case:
-    """A named set of rows."""
-
-    name: str
-    source: str
-    """Where the expected answer comes from."""
-    run: Callable[[str, str], list[Row]]
-    """(device, precision) -> rows."""
-    group: str
-    slow: bool = False
-    curves: dict[str, Any] = field(default_factory=dict)
-    """What the figure draws, filled by `run`."""
-
-
-def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """A stepper for a scene whose bodies are placed one by one."""
-    model = build_model(scene, find_device(device), precision)
-    stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
-    stepper.choose_dt()
-    return stepper
+__all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 
 def cases() -> list[Case]:
     """All cases, in the order of the table."""
-    from . import assemblies, bonds, clumps, contacts, flows, impacts, stability
-
     modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows)
     return [case for module in modules for case in module.CASES]
 
@@ -103,7 +47,7 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
             first = number == 0
             cells = [
                 case.name if first else "", row.quantity, f"{row.ours:.6g}{unit}", f"{row.expected:.6g}{unit}",
-                _share(row.error), _share(row.tolerance), "" if row.passed else "**FAIL**",
+                _shown(row.error), _shown(row.tolerance), "" if row.passed else "**FAIL**",
                 case.source if first else "",
             ]  # fmt: skip
             lines.append(f"| {' | '.join(cells)} |")
@@ -117,9 +61,9 @@ def summary(results: list[tuple[Case, list[Row]]]) -> str:
         worst = max(rows, key=lambda row: row.error / row.tolerance if row.tolerance else float(not row.passed))
         wrong = sum(not row.passed for row in rows)
         shown = f"{wrong} of {len(rows)} **FAIL**" if wrong else str(len(rows))
-        lines.append(f"| {case.name} | {shown} | {_share(worst.error)} | {_share(worst.tolerance)} | {case.source} |")
+        lines.append(f"| {case.name} | {shown} | {_shown(worst.error)} | {_shown(worst.tolerance)} | {case.source} |")
     return "\n".join(lines) + "\n"
 
 
-def _share(value: float) -> str:
+def _shown(value: float) -> str:
     return f"{value:.1e}" if math.isfinite(value) else "-"

@@ -16,7 +16,7 @@ from ..dem.simulation import ElementSimulation
 from ..dem.sizes import Gaussian, Uniform
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
-from . import Case, Row, start
+from .case import Case, Row, start
 
 UP = (0.0, 0.0, 1.0)
 
@@ -69,7 +69,7 @@ def cloud(device, precision) -> list[Row]:
 def _momenta(state):
     order = np.argsort(state.bodies.id.numpy())
     mass, x, v, turn = (
-        getattr(state, f"body_{name}").numpy()[order].astype(float)
+        getattr(state.bodies, name).numpy()[order].astype(float)
         for name in ("mass", "position", "velocity", "angular_momentum")
     )
     orbital = mass[:, None] * np.cross(x, v)

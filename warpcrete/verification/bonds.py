@@ -9,7 +9,7 @@ import numpy as np
 from ..dem.laws import Contact
 from ..dem.scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
 from ..geometry.axis import Axis, Line
-from . import Case, Row, start
+from .case import Case, Row, start
 
 RADIUS, DENSITY, GAP = 0.01, 2500.0, 1e-6
 LENGTH = 2 * RADIUS
@@ -139,7 +139,7 @@ def breakage(device, precision) -> list[Row]:
         dt = 5e-4 * expected / step
         stepper = start(_pair(bonds, dt=dt, **motion), device, precision)
         stepper.bond(bonds, 1)
-        array = getattr(stepper.state, f"pair_bond_{kind}")
+        array = getattr(stepper.state.pairs, f"bond_{kind}")
         last = 0.0
         for _ in range(2600):
             stepper.take(1)

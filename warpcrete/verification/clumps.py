@@ -8,7 +8,7 @@ import numpy as np
 
 from ..dem.clumps import clump, reference
 from ..dem.scene import Bodies, Scene, TimeStep
-from . import Case, Row, start
+from .case import Case, Row, start
 
 
 def union_properties(device, precision) -> list[Row]:

@@ -11,7 +11,7 @@ from ..dem.clumps import clump
 from ..dem.laws import Contact
 from ..dem.scene import Bodies, Bonds, Scene, TimeStep
 from ..geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
-from . import Case, Row, start
+from .case import Case, Row, start
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3

@@ -154,7 +154,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
         label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
         yield f"corner: {label}", lambda corner=corner: cup(**dict(zip(AXES, corner))), 600
     soft = Bonds(effective_modulus=2e4, gap=2e-3)
-    stiff = Hydration(share=0.2, bonds=Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
+    stiff = Hydration(fraction=0.2, bonds=Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
     yield "bonds of 2e4 Pa beside bonds of 1e9 Pa", lambda: cup(modulus=1e5, bonds=soft, hydration=stiff), STEPS
     yield "one sphere", lambda: cup(count=1), STEPS
     yield "no body", lambda: cup(count=0), STEPS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import Case, Row
+from .case import Case, Row
 
 
 def draw(results: list[tuple[Case, list[Row]]]):

@@ -10,7 +10,7 @@ import numpy as np
 from ..dem.laws import Contact, HertzMindlin, damping_ratio
 from ..dem.scene import Bodies, Scene, TimeStep
 from ..geometry.walls import PlaneWall
-from . import Case, Row, start
+from .case import Case, Row, start
 
 NO_GRAVITY = (0.0, 0.0, 0.0)
 SOURCE = "Chung & Ooi 2011"

@@ -21,7 +21,7 @@ from ..dem.sizes import Uniform
 from ..dem.state import State
 from ..dem.stepper import Stepper
 from ..geometry.axis import Axis, Line
-from . import Case, Row
+from .case import Case, Row
 
 STEPS = 3000
 CHUNK = 30
