@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from warpcrete.record.flow import places, tint
 
 from warpcrete import scenes
 from warpcrete.core.device import default_threads, find_device
@@ -146,7 +145,7 @@ class Studies:
                 cells = [mix, f"{1e6 * flow:.0f}"]
                 for two in (False, True):
                     r = self.run(
-                        scenes.channel(mix=mix, flow=flow, aggregates=two, spacing=2.5e-3 if two else 5e-3)
+                        scenes.channel(concrete=mix, flow=flow, aggregates=two, spacing=2.5e-3 if two else 5e-3)
                     ).result
                     found[two].append(r["pressure"]["value"] / 1e3)
                     if not two:
@@ -183,11 +182,12 @@ class Studies:
         for k, two in enumerate((False, True)):
             run, simulation = self.run(scenes.channel(spacing=self.fine, aggregates=two), keep=True)
             r, words = run.result, "two phases" if two else "one phase"
-            place = places(simulation)
+            display = {kind: simulation.display(kind) for kind in ("pressure", "speed", "phase")}
+            place = display["speed"].centres()
             place[:, 2] -= run.series["travel"][-1]
             for m, colouring in enumerate(("pressure", "phase" if two else "speed")):
                 axes = shown[2 * k + m]
-                axes.scatter(100 * place[:, 0], 100 * place[:, 2], s=1.6, c=tint(simulation, colouring) / 255, lw=0)
+                axes.scatter(100 * place[:, 0], 100 * place[:, 2], s=1.6, c=display[colouring].colours() / 255, lw=0)
                 axes.set(aspect="equal", title=f"{words},\nby {colouring}", xlim=(-5.2, 5.2), ylim=(-0.5, 31.5))
                 axes.title.set_fontsize(8)
             for part, colour in zip(r["profiles"], ("C0", "C1", "C2")):
@@ -241,20 +241,20 @@ class Studies:
         )
 
     def migration(self) -> None:
-        """Fig. 21: share of aggregate inside and outside, in front and behind, over time; means of several mixes."""
+        """Fig. 21: fraction of aggregate inside and outside, in front and behind, over time; means of several mixes."""
         figure = Figure(figsize=(8.5, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2)
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
-        runs = self.run_all([common | dict(mix=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
+        runs = self.run_all([common | dict(concrete=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
         for number, mix in enumerate(MIXES):
             parts: dict[str, list[np.ndarray]] = {k: [] for k in ("inner", "outer", "front", "rear")}
             volume, off, took = [], [], []
             for series, result in runs[number * self.seeds : (number + 1) * self.seeds]:
                 time = series["time"]
                 for name, found in parts.items():
-                    share = 100 * series[f"aggregate_{name}"]
-                    found.append(share - share[0])
+                    fraction = 100 * series[f"aggregate_{name}"]
+                    found.append(fraction - fraction[0])
                 volume.append(abs(result["volume_error"]))
                 off.append(result["pressure_error"])
                 took.append(result["speed"]["wall_time"]["value"])
@@ -273,7 +273,7 @@ class Studies:
                 )  # fmt: skip
         for axes in (left, right):
             axes.axhline(0, color="0.7", linewidth=0.6)
-            axes.set(xlabel="time [s]", ylabel="change of the share of aggregate [points]")
+            axes.set(xlabel="time [s]", ylabel="change of the fraction of aggregate [points]")
             axes.legend(frameon=False, fontsize=7)
         self.save("migration", figure)
         self.write(
@@ -289,7 +289,7 @@ class Studies:
         rows = []
         for mix in MIXES:
             for spacing in (20e-3, 10e-3, 5e-3):
-                r = self.run(scenes.tube(mix=mix, spacing=spacing)).result
+                r = self.run(scenes.tube(concrete=mix, spacing=spacing)).result
                 rows.append(
                     [mix, f"{1e3 * r['spacing']['value']:g}", str(r["particles"]),
                      f"{r['pressure']['value'] / 1e3:.3f}",
@@ -304,13 +304,13 @@ class Studies:
             rows,
         )  # fmt: skip
 
-    def literal(self) -> None:
+    def paper_scheme(self) -> None:
         """The scheme as printed, with one sign mended."""
         rows, figure = [], Figure(figsize=(7.5, 3.2), layout="constrained")
         left, right = figure.subplots(1, 2)
-        for literal in (False, True):
-            run = self.run(scenes.channel(literal=literal, duration=1.0, sample_interval=0.02))
-            r, s, words = run.result, run.series, "as printed" if literal else "ours"
+        for printed in (False, True):
+            run = self.run(scenes.channel(paper_scheme=printed, duration=1.0, sample_interval=0.02))
+            r, s, words = run.result, run.series, "as printed" if printed else "ours"
             left.plot(s["time"][1:], s["pressure"][1:] / 1e3, label=words)
             right.plot(s["time"], 100 * s["volume_error"], label=words)
             rows.append(
@@ -322,9 +322,9 @@ class Studies:
         left.set(xlabel="time [s]", ylabel="pressure [kPa]", ylim=(0, None))
         right.set(xlabel="time [s]", ylabel="volume error [%]")
         left.legend(frameon=False, fontsize=8)
-        self.save("literal", figure)
+        self.save("paper_scheme", figure)
         self.write(
-            "literal",
+            "paper_scheme",
             ["scheme", "pressure [kPa]", "off [%]", "slip off [%]", "volume [%]", "balance of forces [%]"],
             rows,
         )
@@ -333,7 +333,7 @@ class Studies:
         """Five seconds of flow: what the scheme keeps."""
         rows = []
         for mix in MIXES:
-            run = self.run(scenes.channel(mix=mix, duration=5.0, sample_interval=0.05))
+            run = self.run(scenes.channel(concrete=mix, duration=5.0, sample_interval=0.05))
             s, r = run.series, run.result
             off = np.abs(s["pressure"][1:] / r["pressure_theory"]["value"] - 1).max()
             rows.append(
@@ -369,7 +369,7 @@ def _falls(result: dict) -> tuple[float, float]:
 
 def main() -> None:
     """Run the studies asked for."""
-    names = ["resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "literal", "long"]
+    names = ["resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "paper_scheme", "long"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device")
     parser.add_argument("--out", type=Path, required=True)

@@ -16,6 +16,9 @@ import warp as wp
 from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
+from warpcrete.dem.scheduling import Steps, drive
+
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
 # Zhan et al. 2019, section 5.2: each parameter alone, on unit D unless its own is named.
 STUDY = {
@@ -33,9 +36,9 @@ OWN = {"diameter": 0.150, "elbow_radius": 0.5, "velocity": 0.3, "size_max": 20e-
 
 def cases() -> list[dict]:
     """Parameters of the whole study: 27 cases and the four units, of which those on unit D's own values are one."""
-    base = dict(unit="elbow-down", shapes="reference", **OWN)
+    base = dict(unit="bend-to-vertical", shapes="reference", **OWN)
     found = [base | {name: value} for name, values in STUDY.items() for value in values]
-    found += [base | {"unit": unit} for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")]
+    found += [base | {"unit": unit} for unit in UNITS]
     return list({tuple(case.items()): case for case in found}.values())
 
 
@@ -73,8 +76,6 @@ def main() -> None:
     first = None
     for size in arguments.sizes:
         simulations = prepared(size, arguments.device)
-        from warpcrete.dem.scheduling import drive
-
         took = []
         for _ in range(arguments.repeats):
             wp.synchronize()
@@ -93,10 +94,10 @@ def main() -> None:
 
 
 def _steps(stepper, count: int):
-    """Course: `count` steps, the step's size estimated every 100."""
+    """Coroutine: `count` steps, the step's size estimated every 100."""
     while count > 0:
         stepper.choose_dt()
-        yield from stepper.taking(min(count, 100))
+        yield Steps(min(count, 100))
         count -= 100
 
 
@@ -118,7 +119,7 @@ def whole_study(device: str, cases: list[dict]) -> None:
             r = outcome.result
             print(
                 {name: value for name, value in case.items() if OWN.get(name) != value},
-                f"peak {r['peak_pressure']['value'] / 1e3:.1f} plateau {r['plateau_pressure']['value'] / 1e3:.1f} kPa,"
+                f"peak {r['peak_pressure']['value'] / 1e3:.1f} end {r['end_pressure']['value'] / 1e3:.1f} kPa,"
                 f" {r['steps']} steps, {r['spheres']} spheres",
             )
         else:

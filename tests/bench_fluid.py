@@ -18,8 +18,10 @@ import warp as wp
 
 from warpcrete import scenes
 from warpcrete.core.device import find_device
+from warpcrete.kernels.mps.structs import PRESSURE
 from warpcrete.mps.particles import MovingParticles
-from warpcrete.mps.probes import figures
+from warpcrete.mps.probes import measured
+from warpcrete.mps.stages import step_parts
 from warpcrete.mps.state import FluidState
 
 
@@ -37,17 +39,17 @@ def resolutions(args) -> None:
     for spacing in args.spacings:
         for threads in args.threads:
             flow = flow_of(args, spacing, threads)
-            flow.advance(40)  # 0.02 s: steady
+            flow.take(40)  # 0.02 s: steady
             times, iterations = [], []
             for _ in range(args.repeats):
                 wp.synchronize_device(flow.device)
                 start = time.perf_counter()
-                flow.advance(args.steps)
+                flow.take(args.steps)
                 wp.synchronize_device(flow.device)
                 times.append((time.perf_counter() - start) / args.steps)
                 found = flow.outcomes()
                 iterations.append([found[k]["iterations"] for k in ("viscosity", "pressure")])
-            row = figures(flow)
+            row = measured(flow)
             velocity, pressure = np.mean(iterations, axis=0)
             theory = flow.theory
             off = [
@@ -82,31 +84,33 @@ def solve_one(args, spacing: float) -> None:
     import warp.sparse
 
     flow = flow_of(args, spacing, 1)
-    flow.advance(41)
-    n, capacity = flow.state.count, flow.capacity[0]
-    count, near, coefficient = flow.near_count.numpy(), flow.near.numpy(), flow.pair_coefficient.numpy()
+    flow.take(41)
+    lists, matrix_of = flow.lists, flow.matrix
+    n, capacity = flow.state.count, lists.near_capacity
+    count, near, coefficient = lists.near_count.numpy(), lists.near.numpy(), matrix_of.coefficient.numpy()
     rows = np.repeat(np.arange(n), count)
     entry = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
-    at = entry * n + rows if flow.is_cuda else rows * capacity + entry
+    at = entry * n + rows if flow.parallel else rows * capacity + entry
     i, j, value = rows, near[at], coefficient[at]
-    inside = flow.free.numpy() == 0
+    inside = flow.matrix.free.numpy() == 0
     keep = inside[i] & inside[j] & (value != 0)
-    diagonal = np.where(inside, flow.diagonal.numpy(), 1.0)
+    diagonal = np.where(inside, flow.matrix.diagonal.numpy(), 1.0)
     right = np.where(inside, np.random.default_rng(0).normal(size=n), 0.0)
     scalar = flow.scalar
 
     # Ours: the stages of the solve alone, from the same residual every time.
     start = wp.array(right, dtype=scalar, device=flow.device)
-    stages = flow._solve(flow.projection, False, 2, flow.increment, 0, 0, n, 1e-4, 0.0)
-    if flow.is_cuda:
+    (part,) = step_parts(flow)
+    stages = part.solve(flow.projection, PRESSURE, flow.fields.increment, 1e-4, 0.0)
+    if flow.device.is_cuda:
         with wp.ScopedCapture(device=flow.device) as capture:
             for stage in stages:
                 stage()
 
     def ours():
-        flow.increment.zero_()
+        flow.fields.increment.zero_()
         wp.copy(flow.projection.residual, start)
-        if flow.is_cuda:
+        if flow.device.is_cuda:
             wp.capture_launch(capture.graph)
         else:
             for stage in stages:
@@ -126,7 +130,7 @@ def solve_one(args, spacing: float) -> None:
         warp.optim.linear.cg(matrix, start, solution, tol=1e-4, atol=0.0, maxiter=2000, M=jacobi)
 
     columns = [best(ours, args.repeats, flow.device), best(theirs, args.repeats, flow.device)]
-    away = np.abs(solution.numpy() - flow.increment.numpy()).max() / np.abs(solution.numpy()).max()
+    away = np.abs(solution.numpy() - flow.fields.increment.numpy()).max() / np.abs(solution.numpy()).max()
     assert away < 1e-2, away
     scipy_time = None
     try:

@@ -13,7 +13,6 @@ same size. The others keep one stiffness for all pairs (the mean of ours) and co
 """
 
 import argparse
-import functools
 import platform
 import tempfile
 import time
@@ -21,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Annotated
 
 import numpy as np
 import peers
@@ -46,45 +45,42 @@ GRAVITY = {"rest": (0.0, 0.0, -9.81), "flow": (-9.81 / np.sqrt(2), 0.0, -9.81 / 
 BONDS = Bonds(effective_modulus=MODULUS, tensile_strength=1e12, cohesion=1e12, gap=1e-4)
 
 
-@functools.cache
-def hooke(scalar):
-    """One stiffness for all pairs and dashpots of the reduced mass: LAMMPS' gran/hooke/history."""
-    f, t = contact_functions(scalar), types(scalar)
-    Touch, shear_spring = f.Touch, f.shear_spring
-
-    @wp.struct
-    class Parameters:
-        k: scalar
-        gamma: scalar
-        friction: scalar
-
-    @wp.func
-    def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
-        vn = wp.dot(touch.velocity, touch.normal)
-        push = wp.max(-touch.gap, scalar(0.0)) * p.k - touch.mass * p.gamma * vn
-        # LAMMPS slides at the friction of spring and dashpot together.
-        new_history, _, lost = shear_spring(touch, history, scalar(0.5) * p.k, p.friction * wp.abs(push), dt)
-        return new_history - push * touch.normal, new_history, lost
-
-    @wp.func
-    def stiffness(p: Parameters, touch: Touch):
-        return t.vec4(p.k, scalar(0.5) * p.k, touch.mass * p.gamma, scalar(0.0))
-
-    @wp.func
-    def energy(p: Parameters, touch: Touch, history: t.vec3):
-        return scalar(0.5) * p.k * touch.gap * touch.gap + wp.length_sq(history) / p.k
-
-    return SimpleNamespace(Parameters=Parameters, force=force, stiffness=stiffness, energy=energy)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Hooke(ContactLaw):
-    """LAMMPS' law, for comparison."""
+    """LAMMPS' gran/hooke/history, for comparison: one stiffness for all pairs, dashpots of the reduced mass."""
 
-    law = hooke
-    k: float
-    gamma: float
-    friction: float
+    k: Annotated[float, "[N/m]"]
+    gamma: Annotated[float, "[1/s]"]
+    friction: Annotated[float, "coefficient"]
+
+    stress_scale = MODULUS
+    has_history = True
+
+    def frictionless(self):
+        return replace(self, friction=0.0)
+
+    @classmethod
+    def device_functions(cls, scalar, parameters):
+        f, t, Parameters = contact_functions(scalar), types(scalar), parameters
+        Touch, shear_spring = f.Touch, f.shear_spring
+
+        @wp.func
+        def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
+            vn = wp.dot(touch.velocity, touch.normal)
+            push = wp.max(-touch.gap, scalar(0.0)) * p.k - touch.mass * p.gamma * vn
+            # LAMMPS slides at the friction of spring and dashpot together.
+            new_history, _, lost = shear_spring(touch, history, scalar(0.5) * p.k, p.friction * wp.abs(push), dt)
+            return new_history - push * touch.normal, new_history, lost
+
+        @wp.func
+        def stiffness(p: Parameters, touch: Touch):
+            return t.vec4(p.k, scalar(0.5) * p.k, touch.mass * p.gamma, scalar(0.0))
+
+        @wp.func
+        def energy(p: Parameters, touch: Touch, history: t.vec3):
+            return scalar(0.5) * p.k * touch.gap * touch.gap + wp.length_sq(history) / p.k
+
+        return {"force": force, "stiffness": stiffness, "energy": energy}
 
 
 OURS = Contact(effective_modulus=MODULUS, stiffness_ratio=2.0, friction=FRICTION, normal_damping_ratio=DAMPING)

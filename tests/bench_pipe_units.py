@@ -15,8 +15,10 @@ import numpy as np
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
+from warpcrete.dem.scene import Published
 
-PAPER = {unit: scenes.pipe(unit=unit).notes["paper"] for unit in ("vertical", "horizontal", "elbow-up", "elbow-down")}
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
+PAPER = {unit: scenes.pipe(unit=unit, shapes="reference").published or Published(source="") for unit in UNITS}
 LETTER = dict(zip(PAPER, "ABCD"))
 
 
@@ -50,12 +52,12 @@ def main() -> None:
         for seed in range(arguments.seeds):
             run, took = measure(unit, arguments.shapes, arguments.device, seed)
             result = run.result
-            peak, plateau = result["peak_pressure"]["value"], result["plateau_pressure"]["value"]
+            peak, plateau = result["peak_pressure"]["value"], result["end_pressure"]["value"]
             at = result["peak_travel"]["value"]
             paper = PAPER[unit]
             print(
-                f"| {LETTER[unit]} {unit}{f', seed {seed}' if seed else ''} | {beside(peak, paper.get('peak'))} | "
-                f"{beside(plateau, paper.get('plateau'))} | {at:.3f} | {took:.0f} |",
+                f"| {LETTER[unit]} {unit}{f', seed {seed}' if seed else ''} | {beside(peak, paper.peak)} | "
+                f"{beside(plateau, paper.plateau)} | {at:.3f} | {took:.0f} |",
                 flush=True,
             )
             runs.setdefault(f"{LETTER[unit]} {unit}", run)

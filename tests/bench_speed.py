@@ -175,7 +175,7 @@ def recording_cost(arguments) -> None:
     from warpcrete.record.usd import UsdRecorder
 
     scene = scenes.pipe(travel=0.15, settle=0.2, sample_interval=0.02)
-    shares: dict[str, list[float]] = {"Rerun": [], "USD": []}
+    fractions: dict[str, list[float]] = {"Rerun": [], "USD": []}
     plain = 0.0
     for _ in range(arguments.repeats):
         with tempfile.TemporaryDirectory() as folder:
@@ -189,9 +189,9 @@ def recording_cost(arguments) -> None:
             pumping = run.result["speed"]["wall_time"]["value"]
             plain = pumping - sum(r.spent for r in recorders.values())
             for name, recorder in recorders.items():
-                shares[name].append(recorder.spent / plain)
-    print("| recorder | share of the pumping time without |\n|---|---|")
-    for name, found in shares.items():
+                fractions[name].append(recorder.spent / plain)
+    print("| recorder | fraction of the pumping time without |\n|---|---|")
+    for name, found in fractions.items():
         print(f"| {name} | {100 * float(np.median(found)):.1f} % |")
     print(
         f"\n{find_device(arguments.device).name}, default pipe scene, 0.15 m of travel ({plain:.1f} s of pumping "

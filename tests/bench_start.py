@@ -16,7 +16,7 @@ START = """
 import time
 begun = time.perf_counter()
 from warpcrete.scenes import pipe
-from warpcrete.simulation import Simulation
+from warpcrete import Simulation
 simulation = Simulation(pipe({options}), device={device!r})
 simulation.prepare()
 print("first step after", time.perf_counter() - begun)

@@ -261,7 +261,8 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, capf
 
     folder = tmp_path / "run"
     here = os.getcwd()
-    argv = ["warpcrete", "run", "pipe", *small_options(), "--out", str(folder), "--quiet", *options]
+    small = small_options() if "--sizes" not in options else []
+    argv = ["warpcrete", "run", "pipe", *small, "--out", str(folder), "--quiet", *options]
     os.chdir(tmp_path)
     try:
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stop:

@@ -75,9 +75,9 @@ class Batch:
     segments: wp.array
     """Pieces of the axes of pipes and drives."""
     drive_axis: wp.array
-    """Pieces of each group's axis: first and how many, shape (groups, 2)."""
+    """First segment of each group's axis, and the end, shape (groups, 2)."""
     drive_force: wp.array
-    """Force along it, shared by the group [N]."""
+    """On each body of a group, along that axis [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`."""
     slot_scene: wp.array
