@@ -1,9 +1,12 @@
 """Fixtures: the same test bodies run on the CPU and, where there is one, on a GPU."""
 
+import datetime
+import json
 import os
 
 import numpy as np
 import pytest
+from source_hash import RECORD, source_hash
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -81,3 +84,24 @@ def verification(module):
         assert rows and not wrong, "\n".join(wrong)
 
     return test_case
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """A run of the whole suite on a GPU leaves a record of what it came to."""
+    whole = config.args == config.getini("testpaths") and not config.option.keyword and not config.option.lf
+    if not whole or len(devices()) < 2 or config.option.collectonly:
+        return
+    import warp as wp
+
+    counts = {name: len(terminalreporter.stats.get(name, [])) for name in ("passed", "skipped", "failed", "error")}
+    if counts["failed"] or counts["error"]:
+        return
+    record = {
+        "device": wp.get_device("cuda:0").name,
+        "date": datetime.date.today().isoformat(),
+        "passed": counts["passed"],
+        "skipped": counts["skipped"],
+        "warp": wp.__version__,
+        "hash": source_hash(),
+    }
+    RECORD.write_text(json.dumps(record, indent=2) + "\n")
