@@ -1,5 +1,6 @@
 """Parallel bonds: stiffness, strength and how they break."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,8 +8,11 @@ import pytest
 from conftest import by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
 
+from warpcrete import Simulation, scenes
 from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import Bonds, Contact
+from warpcrete.dem.scene import Bodies, Bonds, Contact, Hydration, Scene
+from warpcrete.dem.state import State
+from warpcrete.dem.stepper import Stepper
 
 AREA, INERTIA = math.pi * RADIUS**2, math.pi * RADIUS**4 / 4
 SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)
@@ -148,10 +152,8 @@ def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
     assert len(pair_history(stepper.state)) == 1
 
 
-def test_hydration_takes_the_share_asked_for(start):
+def test_hydration_takes_the_fraction_asked_for(start):
     rng = np.random.default_rng(0)
-    from warpcrete.dem.scene import Bodies, Hydration, Scene
-
     grid = np.stack(np.meshgrid(*[np.arange(12)] * 3), -1).reshape(-1, 3) * 0.0199 + rng.normal(0, 1e-5, (1728, 3))
     bonds = Bonds()
     scene = Scene(
@@ -169,3 +171,24 @@ def test_hydration_takes_the_share_asked_for(start):
     assert abs(hydrated - 0.2 * made) < 4 * math.sqrt(made * 0.2 * 0.8)
     soft = stepper.estimate()
     assert soft < 1e-5  # a gigapascal counts in the time step
+
+
+def test_another_seed_hydrates_other_bonds_of_the_same_packing(start):
+    """And the same seed the same ones."""
+    found = []
+    small = dict(length=0.08, diameter=0.06, ramp=0.0, travel=1e-3, settle=0.0, size_min=8e-3, size_max=12e-3)
+    scene = scenes.pipe(hydration=0.3, hydration_modulus=1e5, plug="plate", **small)
+    first = Simulation(scene, device="cpu", threads=1)
+    first.prepare()
+    table = first.state.table()
+    for seed in (0, 0, 1):
+        again = dataclasses.replace(scene, seed=seed)
+        simulation = Simulation(again, device="cpu", threads=1)
+        model = simulation.model
+        simulation.state = State(model, table)
+        simulation.stepper = Stepper(model, simulation.state, again.time_step)
+        simulation.bond()
+        history = pair_history(simulation.state)
+        found.append({key for key, value in history.items() if int(np.frombuffer(value[1], np.int32)[0]) == 2})
+    assert found[0] == found[1] != found[2]
+    assert len(found[0]) > 20 and len(found[0] & found[2]) < 0.6 * len(found[0])

@@ -314,3 +314,18 @@ def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     assert done.returncode == 2 and "damaged" in done.stderr and "Traceback" not in done.stderr
     done = command("run", "pipe", "--resume", folder, "--velocity", 0.5)
     assert done.returncode == 2 and "leave out velocity" in done.stderr
+
+
+def test_the_watch_goes_on_with_what_it_had_seen(tmp_path):
+    """Energy that appears after a resumption is judged by the least there was before it."""
+    scene = mixed_scene()
+    first = Simulation(scene, device="cpu")
+    first.prepare()
+    for _ in range(3):
+        first.stepper.take(200)
+        first.watch_row(first.measure())
+    first.save(tmp_path / "a.npz")
+    second = Simulation(scene, device="cpu")
+    second.resume(tmp_path / "a.npz")
+    assert second.watch.state_dict() == first.watch.state_dict()
+    assert np.isfinite(second.watch.least) and second.watch.scale > 0

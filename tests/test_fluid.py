@@ -18,6 +18,7 @@ from warpcrete.mps.column import check_flow
 from warpcrete.mps.layout import layout
 from warpcrete.mps.mixes import mortar_of
 from warpcrete.mps.particles import MovingParticles
+from warpcrete.mps.probes import Snapshot, aggregate_fractions
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.stages import step_parts
 from warpcrete.mps.state import FluidState
@@ -655,3 +656,68 @@ def test_a_solve_that_does_not_converge_says_how_it_went(device, tmp_path):
     assert caught.value.residual > 0
     assert read_json(tmp_path / "r" / "result.json")["finished"] is False
     assert not list((tmp_path / "r").glob("*.partial"))
+
+
+def two_phase_flow(device, dimensions=2):
+    """Grains and mortar of quite different densities, at the start."""
+    scene = SCENES[dimensions](
+        spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, aggregate_density=5000.0, aggregate_fraction=0.15
+    )
+    if dimensions == 3:
+        large = dataclasses.replace(scene.aggregates, sizes=((20e-3, 30e-3, 1.0),))
+        scene = dataclasses.replace(scene, aggregates=large)
+    return MovingParticles(FluidState(scene, find_device(device), "float64"), threads=1)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_each_phase_has_its_own_weight_and_inertia(device, dimensions):
+    """Not the mean density: in the forces, in the viscous solve's diagonal, and when the pressure moves particles."""
+    flow = two_phase_flow(device, dimensions)
+    aggregates, coarse = flow.scene.aggregates, flow.state.grains.group >= 0
+    rho = np.where(coarse, 5000.0, aggregates.mortar.density)
+    assert flow.particles.density.numpy() == pytest.approx(rho) and abs(aggregates.mortar.density - 5000) > 2000
+    flow.particles.pressure.zero_()
+    forces(flow)
+    dry = flow.fields.wall_weight.numpy() == 0
+    assert flow.viscous.residual.numpy()[dry, -1] == pytest.approx(-9.81 * rho[dry], rel=1e-9)
+    rows = neighbours(flow)
+    viscous = np.bincount(rows[:, 0].astype(int), rows[:, 2], flow.count)
+    assert flow.matrix.diagonal.numpy() - viscous == pytest.approx(rho / 5e-4, rel=1e-9)
+    x, before = flow.particles.position.numpy(), flow.particles.velocity.numpy().copy()
+    slope = np.array([3e3, -7e3, 2e3][:dimensions])
+    flow.fields.increment.assign(x @ slope)
+    stage_named(flow, "project")()
+    change = flow.particles.velocity.numpy() - before
+    assert change == pytest.approx(-5e-4 / rho[:, None] * slope, abs=1e-6 * np.abs(slope).max() * 5e-4 / 2000)
+
+
+def test_the_pressure_of_two_phases_sees_both_densities(device):
+    """Coefficients of its equation: those of one fluid times the reference density over the mean of the pair's."""
+    flow = two_phase_flow(device)
+    stage_named(flow, "geometry")()
+    stage_named(flow, "divergence")()
+    rows = neighbours(flow)
+    i, j = rows[:, 0].astype(int), rows[:, 1].astype(int)
+    entry = np.concatenate([np.arange(c) for c in flow.lists.near_count.numpy()])
+    place = entry * flow.count + i if flow.parallel else i * flow.lists.near_capacity + entry
+    inverse, rho = flow.fields.inverse_number.numpy(), flow.particles.density.numpy()
+    one_fluid = flow.fields.pair_weight.numpy()[place] * (inverse[i] + inverse[j])
+    expected = one_fluid * 2 * flow.scene.concrete.density / (rho[i] + rho[j])
+    assert rows[:, 2] == pytest.approx(expected, rel=1e-9)
+    assert np.ptp(rho[i] + rho[j]) > 4000
+
+
+def test_aggregate_is_counted_where_it_is(device):
+    """Grains put inside, outside, in front and behind by hand: the others hold none."""
+    flow = two_phase_flow(device)
+    layout_ = flow.state.layout
+    snap = Snapshot.of(flow)
+    middle = 0.5 * flow.scene.radius
+    for name, chosen in (
+        ("inner", snap.distance < middle), ("outer", snap.distance >= middle),
+        ("front", snap.height >= 0.5 * layout_.height), ("rear", snap.height < 0.5 * layout_.height),
+    ):  # fmt: skip
+        flow.state.grains = dataclasses.replace(flow.state.grains, group=np.where(chosen, 0, -1))
+        found = aggregate_fractions(flow, snap)
+        other = {"inner": "outer", "outer": "inner", "front": "rear", "rear": "front"}[name]
+        assert found[f"aggregate_{name}"] == 1 and found[f"aggregate_{other}"] == 0

@@ -399,6 +399,29 @@ def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
     assert checked.returncode == 0 and (folder / "result.json").exists()
 
 
+UP, ALONG = (0, 0, 1), (1, 0, 0)
+DIRECTIONS = {
+    "vertical": (UP, UP), "horizontal": (ALONG, ALONG),
+    "bend-to-horizontal": (UP, ALONG), "bend-to-vertical": (ALONG, UP),
+    "A": (UP, UP), "B": (ALONG, ALONG), "C": (UP, ALONG), "D": (ALONG, UP), "elbow-up": (UP, ALONG),
+    "elbow-down": (ALONG, UP),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("unit", DIRECTIONS)
+def test_every_unit_leads_where_its_name_says(unit):
+    scene = scenes.pipe(unit=unit, **SMALL)
+    axis, (begin, end) = scene.pipe.axis, DIRECTIONS[unit]
+    _, tangents = axis.at([0.0, axis.length])
+    assert tangents[0] == pytest.approx(begin, abs=1e-12) and tangents[1] == pytest.approx(end, abs=1e-12)
+    piston = next(wall for wall in scene.walls if wall.name == "piston")
+    assert piston.normal == pytest.approx(begin, abs=1e-12)
+    motion = piston.motion
+    start = np.array(motion.velocity) + np.cross(motion.spin, np.array(piston.point) - np.array(motion.pivot))
+    assert start == pytest.approx(0.3 * np.array(begin), abs=1e-12)
+    assert scene.gravity == (0.0, 0.0, -9.81)
+
+
 def test_elbow_axis_goes_through_its_pieces():
     axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.5, math.pi / 2, (1, 0, 0)), Line(0.3)))
     points, tangents = axis.at([0.0, 0.5 * math.pi / 4, 0.5 * math.pi / 2, axis.length])

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError, WarpcreteError
+from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
+from warpcrete.dem.scene import AxisDrive, Bodies, Bonds, Hydration, Scene, Settle, TimeStep, Watch
+from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 ANYTHING = st.one_of(
@@ -101,8 +103,6 @@ def small_scenes(draw):
         motion = Driven(direction=(0, 0, -1), force=draw(st.floats(-1, 50)), mass=draw(st.floats(1e-3, 10)))
         walls.append(PlaneWall(name="lid", point=(0, 0, 7 * size), normal=(0, 0, -1), motion=motion))
     if draw(st.booleans()):
-        from warpcrete.geometry.axis import Axis, Line
-
         walls.append(PipeWall(name="pipe", axis=Axis((0, 0, -1), (0, 0, 1), (Line(3.0),)), radius=4.5 * size))
     bonds = Bonds(gap=0.2 * size, healing=draw(st.booleans()), tensile_strength=1e3, cohesion=1e3)
     return Scene(
@@ -158,3 +158,45 @@ def test_the_same_scene_gives_the_same_bits(scene):
         except InstabilityError:
             hashes.add(state_hash(simulation.state))
     assert len(hashes) == 1
+
+
+BAD = [
+    (Driven, dict(direction=(0, 0, 1), force=1.0, mass=0.0), "driven mass"),
+    (Driven, dict(direction=(0, 0, 1), force=1.0, mass=1.0, damping=-1.0), "driven damping"),
+    (Driven, dict(direction=(0, 0, 1), force=math.nan, mass=1.0), "driving force"),
+    (Driven, dict(direction=(0, 0, 0), force=1.0, mass=1.0), "direction"),
+    (Driven, dict(direction=(0, 0, 1), force=1.0, mass=1.0, start_time=-1.0), "start_time"),
+    (Prescribed, dict(velocity=(0, 0, math.inf)), "velocity"),
+    (Prescribed, dict(spin=(0, 0)), "spin"),
+    (Prescribed, dict(ramp_time=-1.0), "ramp_time"),
+    (PlaneWall, dict(name="w", point=(0, 0, 0), normal=(0, 0, 0)), "normal"),
+    (Contact, dict(friction=-0.1), "friction"),
+    (Contact, dict(normal_damping_ratio=-0.1), "normal_damping_ratio"),
+    (Contact, dict(dashpot="none"), "dashpot"),
+    (HertzMindlin, dict(effective_modulus=1e6, effective_shear_modulus=0.0), "effective_shear_modulus"),
+    (HertzMindlin, dict(effective_modulus=1e6, effective_shear_modulus=1e5, restitution=1.1), "restitution"),
+    (LubricationLayer, dict(viscosity=-1.0), "viscosity"),
+    (BinghamMortar, dict(shell_fraction=0.6), "shell_fraction"),
+    (Bonds, dict(friction_angle=95.0), "friction_angle"),
+    (Bonds, dict(cohesion=-1.0), "cohesion"),
+    (Bonds, dict(tensile_strength=-1.0), "tensile_strength"),
+    (TimeStep, dict(safety=0.0), "safety"),
+    (Watch, dict(speed=-1.0), "speed"),
+    (Watch, dict(energy=0.0), "energy"),
+    (Hydration, dict(fraction=1.5, bonds=Bonds()), "fraction"),
+    (AxisDrive, dict(group="plug", axis=Axis((0, 0, 0), (0, 0, 1), (Line(1.0),)), force=math.inf), "force"),
+    (Settle, dict(duration=-1.0), "duration"),
+    (Settle, dict(local_damping=1.5), "local_damping"),
+    (Fill, dict(container=PipeContainer(Axis((0, 0, 0), (0, 0, 1), (Line(1.0),)), 0.05, 0.1), solid_fraction=1.2),
+     "solid_fraction"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("part", "values", "field"), BAD, ids=[f"{p.__name__}-{f}" for p, _, f in BAD])
+def test_the_error_of_a_bad_value_names_that_field_and_no_other(part, values, field):
+    with pytest.raises(SceneError) as caught:
+        part(**values)
+    text = str(caught.value)
+    assert field in text.partition(" = ")[0], text
+    for name in values:
+        assert name in field or f"{name} = " not in text, text

@@ -311,3 +311,32 @@ def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
         energy = body_sums(stepper.model, stepper.state).kinetic_energy
         energy += contact_sums(stepper.model, stepper.state).elastic_energy
         assert stepper.state.walls.work.numpy()[0] == pytest.approx(energy, rel=5e-3)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_spheres_on_a_spinning_mesh_go_as_on_a_spinning_plane(start, precision):
+    """A turntable: its surface drags, spins and twists what lies on it, off its axis and on it."""
+    motion = Prescribed(spin=(0.0, 0.0, 4.0), pivot=(0.01, 0.0, 0.0))
+    places = [[0.02, 0.01, RADIUS - 1e-4], [0.01, 0.0, RADIUS - 1e-4], [-0.02, -0.015, RADIUS - 1e-4]]
+    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    ends = []
+    for wall in (
+        PlaneWall(name="table", point=(0, 0, 0), normal=(0, 0, 1), motion=motion),
+        MeshWall(name="table", vertices=vertices, faces=faces, motion=motion),
+    ):
+        scene = Scene(
+            name="turntable", duration=1.0, walls=(wall,), contact=Contact(friction=0.4, shear_damping_ratio=0.1),
+            time_step=TimeStep(fixed=5e-5), bodies=(Bodies(positions=places, sizes=2 * RADIUS, density=DENSITY),),
+        )  # fmt: skip
+        stepper = start(scene, precision)
+        stepper.take(1500)
+        state = stepper.state
+        sums = [getattr(state.walls, name).numpy()[0] for name in ("impulse", "angular_impulse", "work")]
+        ends.append([by_id(state, name).astype(float) for name in ("position", "velocity", "spin")] + sums)
+    tolerance = 1e-9 if precision == "float64" else 2e-4
+    for plane, mesh in zip(*ends):
+        assert mesh == pytest.approx(plane, abs=tolerance * np.abs(plane).max())
+    moved = ends[0][0] - np.array(places)
+    assert moved[0] @ [-0.01, 0.01, 0] > 1e-6  # carried along, counter-clockwise
+    assert np.all(ends[0][2][:, 2] != 0)

@@ -1,0 +1,178 @@
+"""What recordings and scenes hold, read back with the libraries that made them, against the state that was recorded."""
+
+import numpy as np
+import pytest
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.run_loop import Recorder
+from warpcrete.dem import clumps
+from warpcrete.dem.scene import Bodies, Scene
+from warpcrete.geometry.rotation import rotate
+from warpcrete.geometry.walls import PlaneWall, Prescribed
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
+
+INTERVAL = 5e-3
+
+
+class Kept(Recorder):
+    """Bodies, spheres and walls at every frame, and every row."""
+
+    def __init__(self):
+        self.tables, self.centres, self.poses, self.rows, self.times = [], [], [], [], []
+
+    def frame(self, simulation):
+        display = simulation.display("speed")
+        self.times.append(simulation.stepper.time)
+        self.tables.append(simulation.state.table())
+        self.centres.append(display.centres().copy())
+        names = [wall.name for wall in display.walls()]
+        self.poses.append([a.copy() for a in map(np.asarray, display.wall_pose(names.index("paddle")))])
+
+    def sample(self, simulation, row):
+        self.rows.append(row)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Spinning clumps of two shapes that fly apart, beside a paddle that turns: every quaternion differs."""
+    folder = tmp_path_factory.mktemp("recorded")
+    shapes = clumps.reference()[:2]
+    random = np.random.default_rng(3)
+    place = np.array([[0.05 * k, 0.04 * (k % 2), 0.1] for k in range(6)])
+    turned = random.normal(size=(6, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    scene = Scene(
+        name="recorded",
+        duration=0.03,
+        sample_interval=INTERVAL,
+        gravity=(0.0, 0.0, 0.0),
+        bodies=tuple(
+            Bodies(
+                positions=place[k::2], sizes=[0.01, 0.012, 0.014], template=shapes[k], orientations=turned[k::2],
+                spins=random.normal(scale=20, size=(3, 3)), velocities=random.normal(scale=0.3, size=(3, 3)),
+            )
+            for k in range(2)
+        ),
+        walls=(
+            PlaneWall(
+                name="paddle", point=(0.0, 0.0, -0.5), normal=(0.0, 0.0, 1.0), drawn_radius=0.1,
+                motion=Prescribed(velocity=(0.1, 0.0, 0.2), spin=(3.0, 0.0, 5.0), ramp_time=0.0),
+            ),
+        ),
+    )  # fmt: skip
+    kept = Kept()
+    recorders = [kept, RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc")]
+    run = Simulation(scene, device="cpu", recorders=recorders, frame_interval=INTERVAL).run()
+    assert run.finished and len(kept.times) == 7
+    return folder, kept
+
+
+def test_usd_has_every_body_as_the_state_has_it(recorded):
+    from pxr import Usd, UsdGeom
+
+    folder, kept = recorded
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
+    codes = instancer.GetPositionsAttr().GetTimeSamples()
+    assert np.array(codes) / stage.GetTimeCodesPerSecond() == pytest.approx(kept.times, abs=1e-9)
+    assert np.array(instancer.GetScalesAttr().Get()) == pytest.approx(np.repeat(kept.tables[0].size[:, None], 3, 1))
+    assert list(instancer.GetProtoIndicesAttr().Get()) == kept.tables[0].template.tolist()
+    for code, table, previous in zip(codes, kept.tables, [None, *kept.tables]):
+        assert np.array(instancer.GetPositionsAttr().Get(code)) == pytest.approx(table.position, abs=1e-7)
+        assert np.array(instancer.GetVelocitiesAttr().Get(code)) == pytest.approx(table.velocity, rel=1e-6)
+        found = np.array([[*q.GetImaginary(), q.GetReal()] for q in instancer.GetOrientationsAttr().Get(code)])
+        aligned = np.abs(np.sum(found * table.orientation, axis=1))
+        assert aligned == pytest.approx(1, abs=2e-3)  # half precision
+        if previous is not None:
+            assert np.all(np.abs(np.sum(table.orientation * previous.orientation, axis=1)) < 0.9999)
+
+
+def test_usd_puts_every_sphere_where_it_is(recorded):
+    """Through USD's own arithmetic of instances: position, orientation, size and prototype together."""
+    from pxr import Usd, UsdGeom
+
+    folder, kept = recorded
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
+    prototypes = [stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
+    for number in (0, 3, 6):
+        code = Usd.TimeCode(instancer.GetPositionsAttr().GetTimeSamples()[number])
+        matrices = instancer.ComputeInstanceTransformsAtTime(code, code)
+        places = []
+        for matrix, kind in zip(matrices, instancer.GetProtoIndicesAttr().Get()):
+            for ball in prototypes[kind].GetChildren():
+                local = UsdGeom.Xformable(ball).GetLocalTransformation()
+                places.append((local * matrix).ExtractTranslation())
+        assert np.array(places) == pytest.approx(kept.centres[number], abs=2e-5)
+
+
+def test_usd_moves_walls_as_they_move(recorded):
+    from pxr import Usd, UsdGeom
+
+    folder, kept = recorded
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    paddle = UsdGeom.Xformable(stage.GetPrimAtPath("/Run/Walls/paddle"))
+    for time, (position, turn) in zip(kept.times, kept.poses):
+        matrix = paddle.GetLocalTransformation(time * stage.GetTimeCodesPerSecond())
+        assert np.array(matrix.ExtractTranslation()) == pytest.approx(position, abs=1e-6)
+        for axis in np.eye(3):
+            ours = rotate(turn[None], axis[None])[0]
+            assert np.array(matrix.TransformDir(tuple(map(float, axis)))) == pytest.approx(
+                ours, abs=5e-6
+            )  # single precision
+    assert np.linalg.norm(kept.poses[-1][0] - kept.poses[0][0]) > 1e-3
+
+
+def columns(path, entity: str) -> dict[str, list]:
+    """Columns of an entity of a recording, by name: one value a row; durations in seconds."""
+    from rerun.chunk import RrdReader
+
+    found: dict[str, list] = {}
+    for chunk in RrdReader(str(path)).stream().to_chunks():
+        if str(chunk.entity_path) == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name not in ("log_time", "log_tick") and "RowId" not in name:
+                    column = batch.column(name)
+                    values = column.cast("int64").to_numpy() * 1e-9 if name == "time" else column.to_pylist()
+                    found.setdefault(name, []).extend(values)
+    return found
+
+
+def test_rerun_has_every_frame_and_every_row_with_its_time(recorded):
+    folder, kept = recorded
+    spheres = columns(folder / "run.rrd", "/scene/aggregates")
+    (positions,) = [value for name, value in spheres.items() if "positions" in name]
+    assert len(positions) == len(kept.centres)
+    for found, centres in zip(positions, kept.centres):
+        assert np.array(found) == pytest.approx(centres, abs=1e-6)
+    assert spheres["time"] == pytest.approx(kept.times, abs=1e-8)
+    energy = columns(folder / "run.rrd", "/energy/kinetic_energy")
+    (scalars,) = [value for key, value in energy.items() if "scalars" in key.lower()]
+    assert np.ravel(scalars) == pytest.approx([row["kinetic_energy"] for row in kept.rows])
+
+
+@pytest.mark.parametrize("method", ["elements", "flow"])
+def test_rerun_shows_pressures_in_kilopascals(tmp_path, method):
+    kept = []
+
+    class Rows(Recorder):
+        def sample(self, simulation, row):
+            kept.append(row)
+
+    if method == "elements":
+        scene = scenes.pipe(
+            diameter=0.08, length=0.1, ramp=0.0, travel=0.01, settle=0.0, size_min=8e-3, size_max=16e-3, plug="plate"
+        )
+        shown = {"/pressure/piston": ("pressure", 1e-3)}
+    else:
+        scene = scenes.channel(spacing=20e-3, duration=0.02)
+        shown = {"/pressure/piston": ("pressure", 1e-3), "/slip/layer": ("slip_velocity", 100.0)}
+    path = tmp_path / "run.rrd"
+    Simulation(scene, device="cpu", recorders=[RerunRecorder(path), Rows()]).run()
+    for entity, (name, factor) in shown.items():
+        found = columns(path, entity)
+        (scalars,) = [value for key, value in found.items() if "scalars" in key.lower()]
+        assert np.ravel(scalars) == pytest.approx([factor * row[name] for row in kept], nan_ok=True), entity
+        assert np.nanmax([abs(row[name]) for row in kept]) > 0
