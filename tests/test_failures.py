@@ -1,0 +1,316 @@
+"""What goes wrong outside the physics: failed checks, disks, folders, processes, a user's files; and what is said."""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+from test_pipe import command, small_options, wait_until
+
+import warpcrete
+from warpcrete import Simulation, scenes
+from warpcrete.cli import cli
+from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.provenance import fingerprint
+from warpcrete.geometry.meshes import enclosed
+from warpcrete.record.notebook import show
+
+TINY = dict(
+    diameter=0.06, length=0.06, travel=0.004, ramp=0.002, settle=0.0, size_min=8e-3, size_max=12e-3, plug="plate"
+)
+
+
+def tiny_options(**changes):
+    return [word for name, value in (TINY | changes).items() for word in (f"--{name.replace('_', '-')}", str(value))]
+
+
+def invoke(*words):
+    return CliRunner().invoke(cli, [str(word) for word in words])
+
+
+# Exit codes.
+
+
+def test_a_failed_check_is_the_last_word_and_an_exit_code_of_its_own(tmp_path):
+    """Two stones are no concrete, and a concrete with such stones is not pumped."""
+    done = command(
+        "run", "pipe", "--size-min", 0.10, "--size-max", 0.11, "--no-bonds", "--plug", "plate", "--travel", "0.01",
+        "--ramp", "0.005", "--length", "0.4", "--settle", 0, "--device", "cpu", "--out", tmp_path / "run", "--quiet",
+    )  # fmt: skip
+    assert done.returncode == 3, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("FAILED: 1 of ")
+    assert "(enough aggregates); do not trust this run" in done.stdout.splitlines()[-1]
+    assert "0.4" in done.stderr  # of the diameter, noted before the run
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["finished"] and not result["checks"]["enough aggregates"]["passed"]
+    assert result["checks"]["finished"]["passed"]
+
+
+def test_a_sound_run_exits_with_zero(tmp_path):
+    done = invoke("run", "pipe", *tiny_options(), "--device", "cpu", "--out", tmp_path / "run", "--quiet")
+    assert done.exit_code == 0, done.output
+    assert "FAIL" not in done.output and "plateau pressure     none" in done.output
+
+
+def test_a_run_of_no_steps_and_a_balance_of_nothing_fail_the_check():
+    scene = scenes.pipe(**TINY)
+    check = sys.modules["warpcrete.scenes.pipe"].check
+    run = Simulation(scene, device="cpu").run()
+    assert all(ok for ok, _ in check(run).values())
+    for changes in ({"steps": 0}, {"momentum_balance_error": float("nan")}, {"momentum_balance_error": 0.02},
+                    {"largest_overlap": 2.5}):  # fmt: skip
+        broken = dataclasses.replace(run, result=run.result | changes)
+        assert not all(ok for ok, _ in check(broken).values()), changes
+    moved = dataclasses.replace(run.bodies, position=run.bodies.position + [0.05, 0, 0])
+    assert not check(dataclasses.replace(run, bodies=moved))["all aggregates inside"][0]
+    early = dataclasses.replace(run, series=run.series | {"travel": 0.9 * run.series["travel"]})
+    assert not check(early)["finished"][0]
+    with pytest.raises(SceneError, match="velocity = 1000000000.0: must be in"):
+        scenes.pipe(velocity=1e9)
+
+
+# Files and folders.
+
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
+from warpcrete.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize(("limit", "file"), [(3_000, "series.csv"), (60_000, "run.rrd"), (60_000, "scene.usdc")])
+def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
+    """Files that may not grow stand for a disk that is full; what is on disk by then stays."""
+    recorders = {"series.csv": ["--no-rerun", "--no-usd"], "run.rrd": ["--no-usd"], "scene.usdc": ["--no-rerun"]}[file]
+    options = tiny_options(travel=0.05) if file == "series.csv" else tiny_options()
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(limit), "run", "pipe", *options, "--frames", "2000", *recorders,
+         "--sample-interval", "5e-4", "--device", "cpu", "--out", str(tmp_path / "run"), "--quiet",
+         "--checkpoint-every", "0"],
+        capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    # Rerun's own log may say more.
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("note:") and "re_" not in line]
+    assert done.returncode == 2 and len(lines) == 1, done.stderr
+    assert file in lines[0] and "cannot be written" in lines[0] and "is kept" in lines[0]
+    assert (tmp_path / "run" / "scene.json").is_file()
+    assert not list((tmp_path / "run").glob("partial*")) and not list((tmp_path / "run").glob("*.partial"))
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_packed(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    for out in (tmp_path / "file" / "run", "/proc/run"):
+        begun = time.perf_counter()
+        done = invoke("run", "pipe", "--out", out, "--device", "cpu", "--quiet")
+        assert isinstance(done.exception, RunFolderError) and f"out = '{out}'" in str(done.exception)
+        assert time.perf_counter() - begun < 5  # the default pipe takes longer to pack
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    nested = tmp_path / "a" / "b" / "run"
+    done = invoke("run", "pipe", *tiny_options(), "--diameter", "-1", "--out", nested, "--device", "cpu")
+    assert isinstance(done.exception, SceneError) and not (tmp_path / "a").exists()
+
+
+def tube_of(path, stations, radii, shift=lambda z: 0.0):
+    """An STL of rings of 48 corners along z."""
+    points, faces = [], []
+    for z, r in zip(stations, radii):
+        angle = 2 * np.pi * np.arange(48) / 48
+        points.append(np.stack([r * np.cos(angle) + shift(z), r * np.sin(angle), np.full(48, z)], axis=1))
+    for k in range(len(stations) - 1):
+        for a in range(48):
+            b = (a + 1) % 48
+            faces += [[48 * k + a, 48 * k + b, 48 * (k + 1) + a], [48 * k + b, 48 * (k + 1) + b, 48 * (k + 1) + a]]
+    trimesh.Trimesh(np.concatenate(points), faces, process=False).export(path)
+    return path
+
+
+def test_a_reducer_is_packed_inside_its_own_wall(tmp_path):
+    """150 to 140 mm: a cylinder of the wanted diameter would stand out of it."""
+    z = np.linspace(-0.05, 0.6, 14)
+    radii = np.interp(z, [0, 0.45], [0.075, 0.070])
+    path = tube_of(tmp_path / "taper.stl", z, radii)
+    scene = scenes.pipe(wall=str(path), length=0.3, travel=0.01, ramp=0.005, settle=0.05)
+    simulation = Simulation(scene, device="cpu")
+    simulation.prepare()
+    wall = next(wall for wall in scene.walls if wall.name == "pipe")
+    position = simulation.state.table().position
+    assert enclosed(wall, scene.pipe.axis, position).all() and len(position) > 200
+    size = simulation.state.table().size
+    clear = np.interp(position[:, 2], z, radii) * np.cos(np.pi / 48) - np.hypot(position[:, 0], position[:, 1])
+    assert np.all(clear > 0.2 * size)  # not merely their centres
+    run = simulation.run()
+    passed = sys.modules["warpcrete.scenes.pipe"].check(run)
+    assert passed["all aggregates inside"][0] and passed["momentum balance"][0], passed
+
+
+def test_words_about_meshes_say_what_is_wrong_with_them(tmp_path):
+    z = np.linspace(-0.05, 1.7, 40)
+    bent = tube_of(tmp_path / "s.stl", z, np.full(40, 0.075), shift=lambda z: 0.2 * np.sin(2 * z))
+    with pytest.raises(SceneError, match=r"does not follow the pipe's axis: its open end .* m beside it"):
+        scenes.pipe(wall=str(bent))
+    for name, contents in (("noise.stl", os.urandom(800)), ("empty.stl", b""), ("words.stl", b"solid nothing\n")):
+        (tmp_path / name).write_bytes(contents)
+        with pytest.raises(SceneError) as caught:
+            scenes.pipe(wall=str(tmp_path / name))
+        assert name in str(caught.value) and "charset" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu")
+    simulation.prepare()
+    simulation.save(tmp_path / "c.npz")
+    whole = (tmp_path / "c.npz").read_bytes()
+    for kept in (0, 10, len(whole) // 2, len(whole) - 3):
+        (tmp_path / "c.npz").write_bytes(whole[:kept])
+        with pytest.raises(RunFolderError, match=r"c\.npz") as caught:
+            Simulation(scenes.pipe(**TINY), device="cpu").resume(tmp_path / "c.npz")
+        assert "pickle" not in str(caught.value)
+
+
+# Options that would be ignored, names, and what is shown.
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "words"),
+    [
+        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: means nothing unless aggregates is on"),
+        ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: means nothing unless aggregates is on"),
+        ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: means nothing unless bonds is on"),
+        ("pipe", ["--facets", 32], "facets = 32: means nothing unless wall is mesh"),
+        ("pipe", ["--hydration-modulus", 1e6], "hydration_modulus = 1000000.0: means nothing unless hydration is"),
+        ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: means nothing unless wall is a file"),
+        ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: means nothing unless plug is"),
+        ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: means nothing unless sizes is"),
+        ("tube", ["--time-step", 10], "time_step = 10.0: lets the piston pass more than half a particle a step"),
+        ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of diameter"),
+        ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),
+        ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': means nothing without a pipeline"),
+        ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': a plate cannot follow a bend"),
+    ],
+)
+def test_what_would_be_ignored_or_is_said_twice_is_refused(tmp_path, scene, options, words):
+    done = invoke("run", scene, *options, "--device", "cpu", "--out", tmp_path / "run")
+    assert done.exit_code != 0 and words in str(done.exception), done.exception
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_parameter_answers_to_its_other_names(tmp_path):
+    one, two = scenes.tube(radius=0.06, mix="no2"), scenes.tube(diameter=0.12, concrete="no2")
+    assert fingerprint(one) == fingerprint(two) and one.parameters == two.parameters
+    assert scenes.pipe(unit="elbow-down").pipe.name == scenes.pipe(unit="D").pipe.name == "bend-to-vertical"
+    table = invoke("theory", "--mix", "no2", "--radius", 0.06, "--flow", 0.001).output
+    assert table == invoke("theory", "--concrete", "no2", "--diameter", 0.12, "--flow", 0.001).output
+    assert table.startswith("no2: ")
+
+
+def test_theory_answers_where_some_form_flows_and_has_no_flow_at_rest():
+    shown = invoke("theory", "--pressure", 9000)
+    rows = {line.split()[0]: line.split() for line in shown.output.splitlines()[2:]}
+    assert shown.exit_code == 0 and "nothing flows below 9207.82 Pa" in " ".join(rows["pipe"])
+    assert float(rows["plane"][1]) == pytest.approx(8.5931e-4, rel=1e-4)
+    assert "nothing flows below" in str(invoke("theory", "--pressure", 7000).exception)
+    still = [line.split() for line in invoke("theory", "--flow", 0).output.splitlines()[2:]]
+    assert [(float(row[1]), float(row[4])) for row in still] == [(0.0, 0.0)] * 4
+
+
+def test_names_and_short_words_for_people():
+    assert {"Simulation", "Run", "Scene", "FluidScene", "scenes", "SceneError"} <= set(dir(warpcrete))
+    assert set(warpcrete.__all__) <= set(dir(warpcrete))
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu")
+    run = simulation.run()
+    flow = Simulation(scenes.channel(spacing=20e-3), device="cpu")
+    flowed = flow.run()
+    for thing in (run, flowed, run.scene, flowed.scene, simulation, flow, run.bodies):
+        assert len(repr(thing)) < 250 and "\n" not in repr(thing), repr(thing)[:300]
+    assert "finished" in repr(run) and "peak_pressure" in run._repr_html_() and "<table>" in flowed._repr_html_()
+    for done in (run, flowed):
+        assert type(show(done)).__name__ == "Figure"
+
+
+def test_results_say_which_processor_and_flags_their_bits_belong_to():
+    run = Simulation(scenes.channel(spacing=20e-3, duration=5e-3), device="cpu").run()
+    found = run.result["provenance"]
+    assert found["processor"] and "march" in found["compiler_flags"] and found["warp"]
+
+
+def test_what_the_pressure_is_made_with_belongs_to_a_scene(tmp_path):
+    """A checkpoint of another area, pipe or published value is one of another scene."""
+    scene = scenes.pipe(**TINY)
+    simulation = Simulation(scene, device="cpu")
+    simulation.prepare()
+    simulation.save(tmp_path / "c.npz")
+    for change in (
+        {"pressure": dataclasses.replace(scene.pressure, area=2 * scene.pressure.area)},
+        {"pipe": dataclasses.replace(scene.pipe, ramp=0.1)},
+        {"remarks": ("another",)},
+    ):
+        other = dataclasses.replace(scene, **change)
+        assert fingerprint(other) != fingerprint(scene)
+        with pytest.raises(RunFolderError, match="belongs to another scene"):
+            Simulation(other, device="cpu").resume(tmp_path / "c.npz")
+
+
+def test_walls_move_again_after_a_settling_that_was_cut():
+    simulation = Simulation(scenes.pipe(**TINY | dict(settle=0.2)), device="cpu")
+
+    def cut(phase, fraction, figures):
+        if phase == "settling":
+            assert simulation.stepper.batch.rows[0]["held"] == 1
+            raise RuntimeError("cut")
+
+    simulation._progress = cut
+    with pytest.raises(RuntimeError, match="cut"):
+        simulation.prepare()
+    assert simulation.stepper.batch.rows[0]["held"] == 0
+
+
+# Processes.
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has begun, and theirs."""
+    found = []
+    for folder in os.listdir("/proc"):
+        if folder.isdigit():
+            try:
+                parent = int(open(f"/proc/{folder}/stat").read().rpartition(")")[2].split()[1])
+            except (OSError, IndexError):
+                continue
+            if parent == pid:
+                found += [int(folder), *children(int(folder))]
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="looks for processes in /proc")
+def test_workers_end_with_a_study_that_is_killed(tmp_path):
+    study = subprocess.Popen(
+        [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.2", "0.3",
+         *small_options(travel=5.0), "--processes", "2", "--device", "cpu", "--out", str(tmp_path / "study"),
+         "--quiet"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        assert wait_until(lambda: len(list((tmp_path / "study").glob("*/series.csv"))) == 2, 120)
+        workers = children(study.pid)
+        assert len(workers) >= 2
+        study.send_signal(signal.SIGKILL)
+        study.wait(10)
+        assert wait_until(lambda: not any(map(alive, workers)), 20), [w for w in workers if alive(w)]
+    finally:
+        study.kill()

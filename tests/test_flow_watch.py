@@ -1,0 +1,76 @@
+"""Flows that mean nothing end with an error, and those that do are never mistaken for such."""
+
+import dataclasses
+import math
+
+import pytest
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.errors import InstabilityError, SceneError
+from warpcrete.mps.column import check_flow
+from warpcrete.mps.quantities import report
+from warpcrete.mps.scene import FlowWatch
+from warpcrete.mps.watch import WatchedFlow
+
+SHEARED = dict(
+    concrete="own", density=2354.0, viscosity=100.0, yield_stress=0.0, slip_viscosity=5000.0, slip_yield=0.0,
+)  # fmt: skip
+
+
+def row_of(scene, **changes):
+    theory = scene.theory()
+    sound = {
+        "time": 0.1, "pressure": theory.pressure, "wall_stress": theory.wall_stress, "fastest": scene.velocity,
+        "volume_error": 0.0, "momentum": 1.0, "force_balance_error": 0.01,
+    }  # fmt: skip
+    return sound | changes
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"pressure": math.nan}, "pressure is not a finite number"),
+        ({"momentum": math.inf}, "momentum is not a finite number"),
+        ({"pressure": -1e6}, r"the pressure on the piston is -1e\+06 Pa where theory has .*watch\.pressure = 10"),
+        ({"pressure": 1e6}, r"watch\.pressure = 10"),
+        ({"fastest": 5.0}, r"the fastest particle goes at 5 m/s .*watch\.speed = 4"),
+        ({"force_balance_error": 0.25}, r"forces do not balance by 0\.25 .*watch\.force_balance = 0\.2"),
+        ({"force_balance_error": -0.25}, r"forces do not balance by -0\.25"),
+        ({"force_balance_error": math.nan}, "forces do not balance by nan"),
+    ],
+)
+def test_a_row_that_means_nothing_stops_the_flow(changes, words):
+    scene = scenes.channel()
+    watch = WatchedFlow(scene)
+    watch(row_of(scene))
+    with pytest.raises(InstabilityError, match=words) as caught:
+        watch(row_of(scene, **changes))
+    assert "t = 0.1 s: " in str(caught.value) and "usual cures" in str(caught.value)
+
+
+def test_limits_may_be_others_or_none():
+    scene = dataclasses.replace(scenes.channel(), watch=FlowWatch(force_balance=None, pressure=None, speed=None))
+    WatchedFlow(scene)(row_of(scene, force_balance_error=0.9, pressure=1e7, fastest=1e3))
+    strict = dataclasses.replace(scenes.channel(), watch=FlowWatch(force_balance=1e-3))
+    with pytest.raises(InstabilityError, match=r"watch\.force_balance = 0\.001"):
+        WatchedFlow(strict)(row_of(strict))
+    with pytest.raises(SceneError, match="watch speed = -1.0"):
+        FlowWatch(speed=-1.0)
+
+
+def test_a_flow_that_bursts_is_not_called_steady(device):
+    """Sheared concrete at a wall that hardly slips: the pressure swings by hundreds of kilopascals, theory has ten."""
+    scene = scenes.channel(**SHEARED, duration=1.0, time_step=1.25e-4)
+    with pytest.raises(InstabilityError, match=r"usual cures"):
+        Simulation(scene, device=device).run()
+
+
+def test_nothing_is_called_steady_that_is_not(device):
+    """A flow of given duration that ends before it is steady; one without a second sample."""
+    run = Simulation(scenes.channel(spacing=10e-3, duration=0.01), device=device).run()
+    assert not run.result["steady"] and "steady" not in check_flow(run)
+    assert "not steady" in dict(report(run))
+    whole = Simulation(scenes.channel(spacing=10e-3), device=device).run()
+    assert whole.result["steady"] and check_flow(whole)["steady"][0] and "not steady" not in dict(report(whole))
+    short = Simulation(scenes.channel(spacing=10e-3, duration=5e-4, sample_interval=5e-4), device=device).run()
+    assert not all(ok for ok, _ in check_flow(short).values())
