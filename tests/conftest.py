@@ -8,13 +8,20 @@ import numpy as np
 import pytest
 from source_hash import RECORD, source_hash
 
-os.environ.setdefault("MPLBACKEND", "Agg")
-
 from warpcrete.core.device import find_device, quiet_init
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Side by side, each worker of the tests keeps to cores of its own, and with it the threads and processes it begins.
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "")
+if WORKER and hasattr(os, "sched_setaffinity"):
+    cores, workers = sorted(os.sched_getaffinity(0)), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    if workers <= len(cores):
+        os.sched_setaffinity(0, cores[int(WORKER.removeprefix("gw")) :: workers])
 
 
 def devices() -> list[str]:

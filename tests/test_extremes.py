@@ -1,6 +1,7 @@
 """Scenes at the edge: each stays within bounds or stops with an error that names time, body, quantity and cures."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -23,10 +24,18 @@ def test_extreme(device, precision, case):
     assert found.acceptable, found
 
 
-def test_corners_stay_within_bounds_or_stop(device):
-    corners = [case for case in CASES if case[0].startswith("corner")]
+CORNERS = [case for case in CASES if case[0].startswith("corner")]
+# A quarter of all in which every three parameters meet in all their extremes (a fractional design, 2^(7-2), IV).
+QUARTER = [
+    case for case, up in zip(CORNERS, itertools.product((0, 1), repeat=7), strict=True)
+    if up[5] == (up[0] + up[1] + up[2] + up[3]) % 2 and up[6] == (up[0] + up[1] + up[3] + up[4]) % 2
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("corners", [QUARTER, pytest.param(CORNERS, marks=pytest.mark.slow)], ids=["quarter", "all"])
+def test_corners_stay_within_bounds_or_stop(device, corners):
     found = [extremes.outcome(name, make(), device, "float32", steps) for name, make, steps in corners]
-    assert len(found) == 2 ** len(extremes.AXES)
+    assert len(found) in (2 ** len(extremes.AXES), 2 ** (len(extremes.AXES) - 2))
     wrong = [o for o in found if not o.acceptable]
     assert not wrong, wrong
     assert sum(not o.stopped for o in found) > len(found) / 2

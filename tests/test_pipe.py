@@ -9,10 +9,12 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import trimesh
+from test_recordings import columns
 
 import warpcrete
 from warpcrete import Simulation, scenes
@@ -78,8 +80,9 @@ def test_every_unit_pumps_and_balances_momentum(device, unit):
 def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device):
     # Without friction the piston carries the weight and the plug's pressure, and nothing else.
     run = Simulation(
-        scenes.pipe(unit="vertical", friction=0.0, bonds=False, **SMALL | {"velocity": 0.02}), device=device
-    ).run()
+        scenes.pipe(unit="vertical", friction=0.0, bonds=False,
+                    **SMALL | {"velocity": 0.02, "ramp": 0.02, "travel": 0.04, "length": 0.1}), device=device,
+    ).run()  # fmt: skip
     area = math.pi * 0.04**2
     exact = 1000.0 + run.bodies.mass.sum() * 9.81 / area
     assert run.result["plateau_pressure"]["value"] == pytest.approx(exact, rel=1e-5)  # measured 2e-7
@@ -90,11 +93,14 @@ def test_mesh_pipe_agrees_with_analytic_pipe(device):
     for wall in ("analytic", "mesh"):
         run = Simulation(scenes.pipe(unit="vertical", wall=wall, **SMALL), device=device).run()
         plateaus.append(run.result["plateau_pressure"]["value"])
-    assert plateaus[1] == pytest.approx(plateaus[0], rel=0.03)
+    assert plateaus[1] == pytest.approx(plateaus[0], rel=0.015)  # four packings: 0.2 to 0.7 %
 
 
 def test_same_seed_same_bits(device):
-    runs = [Simulation(scenes.pipe(seed=seed, **SMALL | {"travel": 0.01}), device=device).run() for seed in (0, 0, 1)]
+    runs = [
+        Simulation(scenes.pipe(seed=seed, **SMALL | {"travel": 0.005, "length": 0.1}), device=device).run()
+        for seed in (0, 0, 1)
+    ]
     assert np.array_equal(runs[0].bodies.position, runs[1].bodies.position)
     assert np.array_equal(runs[0].series["pressure"], runs[1].series["pressure"])
     assert not np.array_equal(runs[0].series["pressure"], runs[2].series["pressure"])
@@ -105,8 +111,8 @@ def test_plate_plug_and_no_bonds(device):
     assert run.finished and run.result["momentum_balance_error"] < 1e-4
     assert run.series["bonds"].max() == 0
     plug = run.series["plug_force_z"]
-    # The plate rides the column's elastic wave, +-13 %; its mean over 1.5 waves is 3 % off.
-    assert plug[-16:].mean() == pytest.approx(1000 * math.pi * 0.04**2, rel=0.05)
+    # The plate rides the column\'s elastic wave; its mean over 1.5 waves is 0.4 to 0.6 % off (four packings).
+    assert plug[-16:].mean() == pytest.approx(1000 * math.pi * 0.04**2, rel=0.012)
 
 
 def test_hydration_stiffens(device):
@@ -355,43 +361,61 @@ def wait_until(condition, seconds: float) -> bool:
     return False
 
 
+@contextmanager
+def viewer(*words):
+    """A Rerun process without a window; what its starter begins ends with it."""
+    silent = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-m", "rerun", *words], start_new_session=True, **silent)
+    try:
+        yield process
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait(10)
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # what has arrived so far
 def test_live_recording_reaches_a_running_viewer(tmp_path):
     # A server without a window stands for the viewer; what it got is fetched back over the network.
-    with socket.socket() as one, socket.socket() as two:
-        one.bind(("127.0.0.1", 0))
-        two.bind(("127.0.0.1", 0))
-        port, other_port = one.getsockname()[1], two.getsockname()[1]
-    silent = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    server = subprocess.Popen([sys.executable, "-m", "rerun", "--serve-grpc", "--port", str(port)], **silent)
+    port = free_port()
 
     def listening():
         with socket.socket() as probe:
             return probe.connect_ex(("127.0.0.1", port)) == 0
 
-    try:
+    def frames(path):
+        entity = "/scene/aggregates"
+        try:
+            (places,) = [found for name, found in columns(path, entity).items() if "positions" in name]
+        except (RuntimeError, ValueError, OSError):  # not there yet, or half written
+            return []
+        return places
+
+    saved = tmp_path / "live.rrd"
+    with viewer("--serve-grpc", "--port", str(port)):
         assert wait_until(listening, 60)
         url = f"rerun+http://127.0.0.1:{port}/proxy"
-        done = command("run", "pipe", *small_options(travel=0.005), "--out", tmp_path / "run", "--live", url, "--quiet")
+        short = small_options(travel=0.005, ramp=0.002, settle=0.0)
+        done = command("run", "pipe", *short, "--out", tmp_path / "run", "--live", url, "--quiet", "--device", "cpu")
         assert done.returncode == 0, done.stderr
-        saved = tmp_path / "live.rrd"
-        fetch = subprocess.Popen(
-            [sys.executable, "-m", "rerun", url, "--port", str(other_port), "--save", str(saved)], **silent
-        )
-        arrived = wait_until(lambda: saved.exists() and saved.stat().st_size > 20_000, 90)
-        fetch.terminate()
-        fetch.wait(10)
-        assert arrived
-    finally:
-        server.terminate()
-        server.wait(10)
+        wanted = frames(tmp_path / "run" / "run.rrd")
+        assert len(wanted) > 1
+        with viewer(url, "--port", str(free_port()), "--save", str(saved)):
+            assert wait_until(lambda: len(frames(saved)) >= len(wanted), 90)
+    for live, recorded in zip(frames(saved), wanted, strict=True):
+        assert np.array(live) == pytest.approx(np.array(recorded))
 
 
 def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
     folder = tmp_path / "run"
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        url = f"rerun+http://127.0.0.1:{free.getsockname()[1]}/proxy"
-    done = command("run", "pipe", *small_options(travel=0.005), "--out", folder, "--live", url, "--no-usd", "--quiet")
+    url = f"rerun+http://127.0.0.1:{free_port()}/proxy"
+    short = small_options(travel=0.005, ramp=0.002, settle=0.0)
+    done = command("run", "pipe", *short, "--device", "cpu", "--out", folder, "--live", url, "--no-usd", "--quiet")
     assert done.returncode == 0, done.stderr
     checked = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")], capture_output=True
