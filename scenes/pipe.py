@@ -266,7 +266,7 @@ def scene(parameters: PipeParameters) -> Scene:
         duration=given.duration,
         bodies=bodies,
         fill=Fill(
-            container=PipeContainer(axis, bore.least, given.length, pipe, bore.area)
+            container=PipeContainer(axis, bore.smallest, given.length, pipe, bore.area)
             if bore is not None and isinstance(pipe, MeshWall)
             else PipeContainer(axis, given.radius, given.length),
             sizes=sizes,
@@ -399,7 +399,7 @@ def _plug(
     """Bodies, drives and bonds of a plug of balls, or a plate."""
     if given.plug == "balls":
         bore = _odd_bore(given, axis, pipe, given.length, given.front)
-        points = plug_points(axis, bore.least if bore is not None else given.radius, given.length, given.plug_ball)
+        points = plug_points(axis, bore.smallest if bore is not None else given.radius, given.length, given.plug_ball)
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=given.density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * given.area)
         # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.

@@ -1,6 +1,7 @@
 """Batches: a scene alone and among others holds the same bits; what ends or fails costs and harms no other."""
 
 import dataclasses
+import gc
 import operator
 
 import numpy as np
@@ -152,20 +153,22 @@ def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path):
         assert one.run().result["state_hash"] == other.result["state_hash"]
 
 
+def allotted() -> dict[int, int]:
+    """Bytes of every array that owns its memory, by address."""
+    gc.collect()
+    arrays = [a for a in gc.get_objects() if type(a) is wp.array and a.ptr and getattr(a, "_ref", None) is None]
+    return {a.ptr: a.capacity for a in arrays if getattr(a, "deleter", None) is not None}
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("bonds", [False, True], ids=["", "bonds"])
-def test_the_estimate_of_memory_covers_what_is_allotted(device, precision, bonds):
-    """Against the arrays of a dense packing that has stepped, been rebuilt and been measured."""
-    scene = scenes.pipe(bonds=bonds, **SMALL | dict(length=0.4))
-    simulation = Simulation(dataclasses.replace(scene, settle=None), device=device, precision=precision, threads=1)
+def test_the_estimate_of_memory_is_what_is_allotted(device, precision, bonds):
+    """Of a dense packing that has stepped, been rebuilt and been measured; measured: 1.10 to 1.29 on a CPU."""
+    before = allotted()
+    scene = dataclasses.replace(scenes.pipe(bonds=bonds, **SMALL | dict(length=0.4)), settle=None)
+    simulation = Simulation(scene, device=device, precision=precision, threads=1)
     simulation.prepare()
     simulation.stepper.advance(2e-3)
     simulation.measure()
-    state = simulation.state
-    lists = [a for a in vars(simulation.stepper.lists).values() if isinstance(a, wp.array)]
-    lists += [a for value in vars(simulation.stepper.lists).values() if isinstance(value, list | tuple)
-              for a in value if isinstance(a, wp.array)]  # fmt: skip
-    others = [*lists, *state._scratch.values()]
-    allotted = state.bytes + sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in others)
-    needed = memory_needed(simulation.model, state.table())
-    assert allotted < needed < 2.0 * allotted, (allotted, needed)
+    taken = sum(size for address, size in allotted().items() if address not in before)
+    assert taken < memory_needed(simulation.model, simulation.state.table()) < 1.4 * taken

@@ -340,3 +340,29 @@ def test_spheres_on_a_spinning_mesh_go_as_on_a_spinning_plane(start, precision):
     moved = ends[0][0] - np.array(places)
     assert moved[0] @ [-0.01, 0.01, 0] > 1e-6  # carried along, counter-clockwise
     assert np.all(ends[0][2][:, 2] != 0)
+
+
+@pytest.mark.parametrize("mesh", [False, True], ids=["plane", "mesh"])
+def test_what_a_contact_with_a_wall_remembers_turns_with_both(start, mesh):
+    """A heavy sphere and a turntable under it spin at different rates: shear turns at their mean."""
+    spin, table = 30.0, 70.0
+    motion = Prescribed(spin=(0.0, 0.0, table))
+    wall = PlaneWall(name="table", point=(0, 0, 0), normal=(0, 0, 1), motion=motion)
+    if mesh:
+        vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1.5, 0], [-1, 1, 0]])
+        wall = MeshWall(name="table", vertices=vertices, faces=np.array([[0, 1, 2], [0, 2, 3]]), motion=motion)
+    scene = Scene(
+        name="turned", duration=1.0, gravity=(0, 0, 0), walls=(wall,), time_step=TimeStep(fixed=1e-5),
+        contact=Contact(friction=0.5, normal_damping_ratio=0.0),
+        bodies=(Bodies(positions=[[0, 0, RADIUS - 1e-5]], sizes=2 * RADIUS, density=1e15, spins=[[0, 0, spin]]),),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.take(1)
+    history = stepper.state.slots.history
+    value, tiny = history.numpy().copy(), 1e-12
+    (place,) = [k for k in range(value.shape[1]) if not mesh or stepper.state.slots.wall.numpy()[0, k] >= 0]
+    value[0, place] = [tiny, 0.0, 0.0]
+    history.assign(value)
+    quarter = round(math.pi / 2 / (0.5 * (spin + table)) / stepper.dt)
+    stepper.take(quarter)
+    assert stepper.state.slots.history.numpy()[0, place] == pytest.approx([0.0, tiny, 0.0], abs=2e-3 * tiny)

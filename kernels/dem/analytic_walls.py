@@ -67,7 +67,7 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
-def analytic_wall_functions(scalar, law, losses: bool):
+def analytic_wall_functions(scalar, law, dissipation: bool):
     """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes.
 
     Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
@@ -140,7 +140,7 @@ def analytic_wall_functions(scalar, law, losses: bool):
                 total_moment += wp.cross((radius + gap) * n, f)
                 add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
             elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
-                if wp.static(losses):
+                if wp.static(dissipation):
                     touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
                     p = parameters[row + walls.table[w].material]
                     total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
@@ -155,7 +155,7 @@ def analytic_wall_functions(scalar, law, losses: bool):
 
 
 @functools.cache
-def wall_kernel(scalar, law, losses: bool):
+def wall_kernel(scalar, law, dissipation: bool):
     """Kernel over spheres: adds the forces of planes and pipes, where the contact kernel does not do that, too.
 
     On a CPU two kernels are faster: clang inlines a law that a kernel calls once, not one that it calls twice.
@@ -163,7 +163,7 @@ def wall_kernel(scalar, law, losses: bool):
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
-    analytic = analytic_wall_functions(scalar, law, losses)
+    analytic = analytic_wall_functions(scalar, law, dissipation)
     Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
     read_vec4 = row_functions(scalar).read_vec4
 
@@ -198,7 +198,7 @@ def wall_kernel(scalar, law, losses: bool):
             )  # fmt: skip
             spheres.force[i] = spheres.force[i] + wall_force
             spheres.moment[i] = spheres.moment[i] + wall_moment
-            if wp.static(losses):
+            if wp.static(dissipation):
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
 
     return wall_contacts

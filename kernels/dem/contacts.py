@@ -94,7 +94,7 @@ def pair_functions(scalar):
 
 
 @functools.cache
-def parting_function(scalar, law, half: bool, history: bool, healing: bool, losses: bool):
+def parting_function(scalar, law, half: bool, history: bool, healing: bool, dissipation: bool):
     """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
     `block` to `end`; the energy that they lose [J]."""
     t = types(scalar)
@@ -120,7 +120,7 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, loss
     ):
         lost = wp.float64(0.0)
         if wp.static(history):
-            if wp.static(losses):
+            if wp.static(dissipation):
                 # A spring still loaded when the surfaces part takes its energy with it.
                 entry = pairs.other[k]
                 j = base + decode(entry)
@@ -168,7 +168,7 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, loss
 
 
 @functools.cache
-def bonded_function(scalar, healing: bool, losses: bool):
+def bonded_function(scalar, healing: bool, dissipation: bool):
     """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
     t = types(scalar)
     structs = array_structs(scalar)
@@ -222,7 +222,7 @@ def bonded_function(scalar, healing: bool, losses: bool):
                     else:
                         broken[1] = broken[1] + 1
                     spheres.broken[i] = broken
-                if wp.static(losses):
+                if wp.static(dissipation):
                     if touch.gap >= scalar(0.0):
                         lost = scalar(0.0)
                     lost += bond_energy(parameters[first_kind + kind], touch, held_force, held_moment)
@@ -273,11 +273,11 @@ def closeness_function(scalar, bonds: bool):
 
 
 @functools.cache
-def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool, losses: bool):
+def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool, dissipation: bool):
     """Everything that :func:`contact_kernel` calls."""
     structs = array_structs(scalar)
     law = pair_law.functions(scalar)
-    analytic = analytic_wall_functions(scalar, wall_law, losses)
+    analytic = analytic_wall_functions(scalar, wall_law, dissipation)
     rows = row_functions(scalar)
     return SimpleNamespace(
         Scenes=structs.Scenes, Spheres=structs.Spheres, Slots=structs.Slots, Pairs=structs.Pairs, Walls=structs.Walls,
@@ -285,8 +285,8 @@ def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         Bond=bond_functions(scalar).Bond, Segment=analytic.Segment,
         pair_touch=pair_functions(scalar).pair_touch, contact_force=law.force,
         close_entries=closeness_function(scalar, bonds),
-        part_entries=parting_function(scalar, pair_law, half, history, healing, losses),
-        bonded=bonded_function(scalar, healing, losses),
+        part_entries=parting_function(scalar, pair_law, half, history, healing, dissipation),
+        bonded=bonded_function(scalar, healing, dissipation),
         far_from_walls=analytic.far_from_walls, on_walls=analytic.on_walls,
         read_int=rows.read_int, read_vec3=rows.read_vec3, read_vec4=rows.read_vec4, write_vec3=rows.write_vec3,
     )  # fmt: skip
@@ -300,14 +300,14 @@ def contact_options(half: bool) -> dict:
 
 @functools.cache
 def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
-                   walls_too: bool, losses: bool):  # fmt: skip
+                   walls_too: bool, dissipation: bool):  # fmt: skip
     """Kernel over spheres: contact forces [N] and moments about sphere centres [N m].
 
-    In the half list they are added to what stands there, else they replace it. With `losses` it also adds up the energy
-    that friction, dashpots and breaking bonds take [J]. The launch owns spheres `first` to `last`, chunk `part`.
+    In the half list they are added to what stands there, else they replace it. With `dissipation` it also adds up what
+    energy friction, dashpots and breaking bonds take [J]. The launch owns spheres `first` to `last`, chunk `part`.
     """
     t, span = types(scalar), SPAN if half else 1
-    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, losses)
+    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, dissipation)
     Parameters, WallParameters, Bond, Segment = f.Parameters, f.WallParameters, f.Bond, f.Segment
     Scenes, Spheres, Slots, Pairs, Walls = f.Scenes, f.Spheres, f.Slots, f.Pairs, f.Walls
 
@@ -387,7 +387,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                             spheres, pairs, bond_parameters, scenes.row[s].bonds, i, k, own, pair,
                             sign * (spin_j - spin_i), total, lost, dt,
                         )  # fmt: skip
-                    if wp.static(losses):
+                    if wp.static(dissipation):
                         if own:
                             lost_i += wp.float64(lost)
                     turn = wp.cross(pair.touch.normal, total)
@@ -408,7 +408,7 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                     force_i += wall_force
                     moment_i += wall_moment
                     lost_i += wall_lost
-            if wp.static(losses):
+            if wp.static(dissipation):
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost_i
             if wp.static(half):
                 f.write_vec3(spheres.force, i, f.read_vec3(spheres.force, i) + force_i)

@@ -162,7 +162,7 @@ def history_function(scalar):
 
 
 @functools.cache
-def mesh_kernel(scalar, law, half: bool, losses: bool):
+def mesh_kernel(scalar, law, half: bool, dissipation: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
     structs = array_structs(scalar)
@@ -275,7 +275,7 @@ def mesh_kernel(scalar, law, half: bool, losses: bool):
                     slots.wall[i, analytic + s] = -1
             spheres.force[i] = spheres.force[i] + total_force
             spheres.moment[i] = spheres.moment[i] + total_moment
-            if wp.static(losses):
+            if wp.static(dissipation):
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + total_lost
 
     return mesh_contacts

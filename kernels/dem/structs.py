@@ -155,7 +155,7 @@ def array_structs(scalar) -> SimpleNamespace:
         moment: wp.array(dtype=wp.vec3d)  # about the wall's position [N m]
         impulse: wp.array(dtype=wp.vec3d)  # of that force since the start [N s]
         angular_impulse: wp.array(dtype=wp.vec3d)  # of that moment since the start [N m s]
-        travel: wp.array(dtype=wp.float64)  # way gone since the start [m]
+        travel: wp.array(dtype=wp.float64)  # displacement along its path since the start [m]
         work: wp.array(dtype=wp.float64)  # done on the material since the start [J]
         moved: wp.array(dtype=wp.float64)  # meshes: way that a corner may have gone since the lists were built [m]
         step_force: wp.array3d(dtype=wp.int64)  # force and moment of this step in fixed point, (threads, walls, 6)

@@ -84,7 +84,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
-        small_enough: wp.float64,
+        absolute_tolerance: wp.float64,
         maximum: wp.int32,
         # chunk
         part: wp.int32,
@@ -117,7 +117,7 @@ def serial_solver(scalar, dimensions: int, vector: bool):
             rz += system.partial[k]
             rr += system.partial[parts + k]
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, small_enough * small_enough)
+        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
         count = wp.int32(0)
         while rr > goal and count < maximum:
             pq = wp.float64(0.0)
@@ -202,14 +202,14 @@ def parallel_start(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def ready(
-        blocks: wp.int32, tolerance: wp.float64, small_enough: wp.float64, flags: wp.array(dtype=wp.int32),
+        blocks: wp.int32, tolerance: wp.float64, absolute_tolerance: wp.float64, flags: wp.array(dtype=wp.int32),
         system: Solve,
     ):  # fmt: skip
         i = wp.tid()
         rz = total(i, system.partial, 0, blocks)
         rr = total(i, system.partial, blocks, blocks)
         if i == 0:
-            goal = wp.max(tolerance * tolerance * rr, small_enough * small_enough)
+            goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
             system.numbers[0] = rz
             system.numbers[2] = goal
             system.going[0] = 0

@@ -285,7 +285,7 @@ class Simulation:
             raise WarpcreteError("this simulation has run; make a new Simulation for another run")
         if not self.prepared:
             self.prepare()
-        return carry(self.running(), self.stepper.advance)
+        return drive_alone(self.running(), self.stepper.advance)
 
     def running(self) -> Coroutine:
         """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
@@ -385,7 +385,7 @@ class Simulation:
         self._progress(phase, fraction, figures)
 
 
-def carry(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
+def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
     """Drive a coroutine that wants to be at times only; what it returns. Errors on the way are raised inside it."""
     try:
         goal = next(coroutine)

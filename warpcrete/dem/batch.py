@@ -26,7 +26,7 @@ from ..kernels.dem.structs import array_structs, scene_struct
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
-MOST_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
+MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
 LARGEST_GRAPH = {"cpu": 8, "cuda": 64}
 """Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
@@ -258,9 +258,9 @@ class Batch:
         grown = wanted > capacity
         capacity[grown] = wanted[grown] + wanted[grown] // 4 + 64
         new = np.concatenate([[0], np.cumsum(capacity)])
-        if new[-1] > MOST_ENTRIES:
+        if new[-1] > MAXIMUM_ENTRIES:
             raise CapacityError(
-                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {MOST_ENTRIES}"
+                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {MAXIMUM_ENTRIES}"
             )
         for name in names:
             before = getattr(getattr(self, struct), name)

@@ -16,7 +16,7 @@ from ..kernels.common.types import types
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
 from ..kernels.dem.sorting import invert, iota, order_kernels, permute_kernel
-from .batch import MOST_ENTRIES, Batch
+from .batch import MAXIMUM_ENTRIES, Batch
 from .stages import tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
@@ -154,7 +154,7 @@ class NeighborLists:
             if np.all((wanted >= 0) & (wanted <= self._room)):
                 return launches
             room = np.maximum(self._room, wanted + wanted // 4)
-            if np.any(wanted < 0) or room.sum() > MOST_ENTRIES:
+            if np.any(wanted < 0) or room.sum() > MAXIMUM_ENTRIES:
                 raise CapacityError(f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can count")
             self._room = room
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
@@ -243,7 +243,7 @@ class NeighborLists:
         wp.utils.array_scan(self._count, self._scanned, inclusive=False)
         place()
         wanted = total.numpy().astype(np.int64)
-        if np.any(wanted < 0) or wanted.sum() > MOST_ENTRIES:
+        if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
             raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")
         return wanted
 

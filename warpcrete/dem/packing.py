@@ -230,12 +230,12 @@ class _Growth:
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
         # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
-        enough = max(pressure or 0.0, TRANSIENT * self.contact.stress_scale)
+        resting = max(pressure or 0.0, TRANSIENT * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
             yield Steps(CHUNK)
             tell((number + 1) * CHUNK / GROWTH_STEPS)
-            if pressure is not None and number % 2 and self._pressure() > enough:
+            if pressure is not None and number % 2 and self._pressure() > resting:
                 break
 
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.method import results_of
 from ..core.provenance import provenance
-from ..core.run_loop import Coroutine, Run, Simulation, Until, carry
+from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
 from .bodies import BodyTable, placed_bodies
 from .display import ElementDisplay
@@ -92,7 +92,7 @@ class ElementSimulation(Simulation):
             )
         self.place(packed, wall_clock.perf_counter() - started)
         self.join(Stepper(self.model, self.state, scene.time_step, threads=self.threads))
-        carry(self.preparing(), self.stepper.advance)
+        drive_alone(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
         """Make the state from what packing returned, which `took` so long [s], and the bodies that the scene places."""

@@ -53,7 +53,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class SieveCurve:
-    """Grading curve of a mix design: the share of the *mass* that passes each opening.
+    """Grading curve of a mix design: the fraction of the *mass* that passes each opening.
 
     Between two openings mass is spread evenly over the logarithm of the size.
     """
@@ -61,7 +61,7 @@ class SieveCurve:
     openings: tuple[float, ...]
     """Rising [m]."""
     passing: tuple[float, ...]
-    """Rising shares of the mass, from 0 at the first opening to 1 at the last."""
+    """Rising fractions of the mass, from 0 at the first opening to 1 at the last."""
 
     def __post_init__(self) -> None:
         try:
@@ -71,7 +71,7 @@ class SieveCurve:
         if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
             refuse("openings", self.openings, "openings and passing must be finite numbers")
         if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
-            refuse("openings", self.openings, "needs two or more, one `passing` share each")
+            refuse("openings", self.openings, "needs two or more, one `passing` fraction each")
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
             refuse("openings", self.openings, "must be above 0 m and rising")
         if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
@@ -91,11 +91,11 @@ class SieveCurve:
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """`count` sizes [m]: within a fraction, number density falls as size^-4 for even mass per logarithm."""
-        openings, share = np.array(self.openings), np.diff(self.passing)
+        openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
         # Number of particles per unit of mass in each fraction.
-        number = share * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
-        fraction = random.choice(len(share), size=count, p=number / number.sum())
+        number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
+        fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)
         low, high = inverse_cubes[fraction + 1], inverse_cubes[fraction]
         return (low + u * (high - low)) ** (-1 / 3)

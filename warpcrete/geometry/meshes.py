@@ -118,9 +118,9 @@ def signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 class Bore:
     """What the inside of a pipe came to, measured from its axis."""
 
-    least: float
+    smallest: float
     """Smallest distance of the wall [m]."""
-    most: float
+    largest: float
     """Largest [m]."""
     area: float
     """Mean cross-section [m2]."""
@@ -132,7 +132,7 @@ class Bore:
 
     def is_round(self, radius: float) -> bool:
         """Whether a cylinder of `radius` [m] stands for it."""
-        return self.least >= (1 - ROUND) * radius and self.most <= (1 + ROUND) * radius
+        return self.smallest >= (1 - ROUND) * radius and self.largest <= (1 + ROUND) * radius
 
 
 def check_pipe(mesh: trimesh.Trimesh, field: str, name: str, axis: Axis, radius: float, length: float) -> Bore:

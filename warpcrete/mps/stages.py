@@ -121,19 +121,19 @@ class StepPart:
         return self.each(momentum_kernel(*self.kind, self.two_phase))
 
     def viscosity(self) -> list[Any]:
-        enough = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
-        return self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, enough)
+        absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
+        return self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute)
 
     def pressure(self) -> list[Any]:
         scene, tolerance = self.scene, self.scene.tolerance
-        enough = LEAST_PRESSURE * tolerance * self.rate * scene.velocity / scene.radius * self.size
-        return self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, enough)
+        absolute = LEAST_PRESSURE * tolerance * self.rate * scene.velocity / scene.radius * self.size
+        return self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
 
     def shifting(self) -> list[Any]:
         """The solve of what moves particles off crowds, and how far that is."""
-        tolerance, enough = SHIFTING
+        tolerance, error = SHIFTING
         return [
-            *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, enough * self.size),
+            *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, error * self.size),
             *self.each(shift_kernel(*self.kind)),
         ]
 
@@ -171,11 +171,11 @@ class StepPart:
         """Force per volume that changes a velocity by 1 m/s within a step [kg/m3/s]."""
         return self.scene.concrete.density / self.scene.time_step
 
-    def solve(self, system: Any, what: int, x: Any, tolerance: float, enough: float) -> list[Any]:
-        """Conjugate gradients down to `tolerance` of the residual at the start, or to `enough`; adds to `x`."""
+    def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
+        """Conjugate gradients down to `tolerance` of the residual at the start, or to `absolute`; adds to `x`."""
         p, maximum = self.p, self.scene.maximum_iterations
         kind = p.scalar, self.dimensions, what == VISCOSITY
-        goal = {"tolerance": tolerance, "small_enough": enough}
+        goal = {"tolerance": tolerance, "absolute_tolerance": absolute}
         if self.serial:
             chunk = {"part": self.part, "parts": p.threads, "first": self.first, "end": self.end}
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunk)]

@@ -16,7 +16,7 @@ from ..dem.stepper import Stepper
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: ours beside the expected one."""
+    """One quantity: ours beside the expected one."""
 
     quantity: str
     ours: float

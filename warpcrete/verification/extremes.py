@@ -52,7 +52,7 @@ class Outcome:
 
 
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
-        load=1e3, dt_share=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
+        load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
     """The scene; `ratio` is that of the two sizes, `load` the pressure on the plate [Pa]."""
     random = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
                       motion=Driven(direction=(0, 0, -1), force=load * area, mass=max(density, 100.0) * area * 0.02)),
             PipeWall(name="pipe", axis=Axis(tuple(shift - [0, 0, 1.0]), (0, 0, 1), (Line(4.0),)), radius=RADIUS),
         ),
-        time_step=TimeStep(safety=dt_share),
+        time_step=TimeStep(safety=dt_fraction),
     )  # fmt: skip
     return Scene(**(settings | changes))
 
@@ -145,8 +145,8 @@ AXES: dict[str, tuple[float, float]] = {
 def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
     """Name, scene and steps of every case: single extremes, all corners of the axes, and special ones."""
     yield "all at their middle", cup, STEPS
-    for share in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
-        yield f"time step {share:g} of the estimate", lambda share=share: cup(dt_share=share), STEPS
+    for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
+        yield f"time step {fraction:g} of the estimate", lambda fraction=fraction: cup(dt_fraction=fraction), STEPS
     for name, values in AXES.items():
         for value in values:
             yield f"{name} {value:g}", lambda name=name, value=value: cup(**{name: value}), STEPS

@@ -65,11 +65,11 @@ def _normalised(axes, curves) -> None:
 
 
 def _stability(axes, curves) -> None:
-    from .stability import SHARES
+    from .stability import FRACTIONS
 
     for label, curve in curves.items():
         finite = np.where(np.isfinite(curve), np.clip(curve, 1e-3, 1e6), 1e6)
-        axes.plot(SHARES, finite, ".-", label=label, linewidth=1)
+        axes.plot(FRACTIONS, finite, ".-", label=label, linewidth=1)
     axes.axvspan(0, 0.8, color="tab:green", alpha=0.08, linewidth=0)
     axes.axhline(2.0, color="0.6", linewidth=0.8, linestyle="--")
     axes.set(

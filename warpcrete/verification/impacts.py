@@ -176,13 +176,13 @@ def oblique(device, precision) -> list[Row]:
     ):
         scale = float(np.abs(published).max())
         unit = {"f": "rad/s", "r": "degrees"}.get(name[0], "1")
-        for which, where, share in (
+        for which, where, tolerance in (
             (steep, "below 15 degrees", allowed_steep),
             (~steep, "from 15 degrees on", allowed),
         ):
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
-            rows.append(Row(label, float(ours[place]), float(published[place]), share, unit, scale))
+            rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
     # Beyond the angle of full slip the answer is closed: v_t' = v_t - mu (1 + e) v_n.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])

@@ -25,7 +25,7 @@ from .case import Case, Row
 
 STEPS = 3000
 CHUNK = 30
-SHARES = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 4.0, 5.0, 6.0, 8.0)
+FRACTIONS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 4.0, 5.0, 6.0, 8.0)
 AXIS = Axis((0, 0, 0), (0, 0, 1), (Line(0.05),))
 LAWS: dict[str, ContactLaw] = {
     "linear": Contact(friction=10.0, normal_damping_ratio=0.0),
@@ -49,7 +49,7 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
     return scene, table
 
 
-def growth(scene: Scene, table, share: float, device, precision, bonds: Bonds | None = None) -> float:
+def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
     """Largest energy in the last fifth of STEPS steps over that in the first; infinite once it bursts.
 
     Near the limit the energy of a stable leapfrog swings, but it does not grow.
@@ -59,7 +59,7 @@ def growth(scene: Scene, table, share: float, device, precision, bonds: Bonds | 
     if bonds is not None:
         stepper.bond(bonds, 1)
     estimate = stepper.estimate()
-    stepper.time_step = TimeStep(fixed=share * estimate, safety=10.0, interval=10**9)
+    stepper.time_step = TimeStep(fixed=fraction * estimate, safety=10.0, interval=10**9)
     stepper.choose_dt()
     before = _energy(model, stepper.state)
     energies = []
@@ -97,7 +97,7 @@ def bonded_pair() -> Scene:
 
 
 def limits(device, precision) -> list[Row]:
-    """For every law and shape: the largest tried share of the estimate at which no energy appears."""
+    """For every law and shape: the largest tried fraction of the estimate at which no energy appears."""
     pair = bonded_pair()
     block_bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=1e-3)
     blocks = [(f"{name}, spheres", law, sphere(), None) for name, law in LAWS.items()] + [
@@ -107,20 +107,20 @@ def limits(device, precision) -> list[Row]:
     ]
     LIMITS.curves.clear()
     LIMITS.curves["linear, one bonded pair"] = np.array(
-        [growth(pair, placed_bodies(pair), share, device, precision, pair.bonds) for share in SHARES]
+        [growth(pair, placed_bodies(pair), fraction, device, precision, pair.bonds) for fraction in FRACTIONS]
     )
     for label, law, shape, bonds in blocks:
         scene, table = dense_block(law, shape, device, precision)
         scene = replace(scene, bonds=bonds)
         shake(table)
-        LIMITS.curves[label] = np.array([growth(scene, table, s, device, precision, bonds) for s in SHARES])
+        LIMITS.curves[label] = np.array([growth(scene, table, s, device, precision, bonds) for s in FRACTIONS])
     rows = []
     for label, curve in LIMITS.curves.items():
         stable = curve < 2.0
-        first = len(SHARES) if stable.all() else int(np.argmin(stable))
-        limit = SHARES[first - 1] if first else 0.0
+        first = len(FRACTIONS) if stable.all() else int(np.argmin(stable))
+        limit = FRACTIONS[first - 1] if first else 0.0
         # The estimate must be safe, 1 or more; how much it leaves is told, not asked for.
-        rows.append(Row(f"{label}: stable up to this share of the estimate", limit, 1.0, 0.0, at_least=True))
+        rows.append(Row(f"{label}: stable up to this fraction of the estimate", limit, 1.0, 0.0, at_least=True))
     return rows
 
 
