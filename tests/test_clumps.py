@@ -204,3 +204,23 @@ def test_packing_is_seeded(device, straight):
 def test_impossible_fills_are_refused(straight, changes, message):
     with pytest.raises(SceneError, match=message):
         Fill(container=PipeContainer(straight, 0.05, 0.15), **changes)
+
+
+def test_a_turned_body_starts_with_the_spin_it_is_given(start):
+    """Angular momentum is in space: R I R^T w, not that of a body that stands upright."""
+    shape = clumps.reference()[3]
+    random = np.random.default_rng(5)
+    turned = random.normal(size=(4, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    spins = random.normal(scale=30, size=(4, 3))
+    places = np.arange(4)[:, None] * [0.1, 0, 0]
+    bodies = Bodies(positions=places, sizes=0.02, template=shape, orientations=turned, spins=spins)
+    stepper = start(Scene(name="turned", duration=1.0, gravity=(0, 0, 0), bodies=(bodies,),
+                          time_step=TimeStep(fixed=1e-7)))  # fmt: skip
+    mass = by_id(stepper.state, "mass")[:, None]
+    inertia = shape.inertia * mass * 0.02**2
+    assert np.ptp(shape.inertia) > 0.1 * shape.inertia.max()
+    expected = rotate(turned, rotate(turned, spins, inverse=True) * inertia)
+    assert by_id(stepper.state, "angular_momentum") == pytest.approx(expected, rel=1e-12)
+    stepper.take(1)
+    assert by_id(stepper.state, "spin") == pytest.approx(spins, rel=1e-4)
