@@ -231,3 +231,32 @@ def test_what_an_oblique_impact_loses_is_booked(start, law):
         errors.append(abs(booked - lost) / lost)
     assert errors[1] < 1e-3
     assert errors[1] < 0.4 * errors[0] or errors[1] < 1e-4
+
+
+def test_each_wall_and_body_has_the_law_of_its_own_materials(start):
+    """Two walls and two bodies of different materials: four contacts, four stiffnesses."""
+    modulus = {("light", "rough"): 1e5, ("light", "smooth"): 2e5, ("heavy", "rough"): 3e5, ("heavy", "smooth"): 5e5}
+    depth = 1e-4
+    bodies = tuple(
+        Bodies(positions=[[x, 0, RADIUS - depth], [x, 0.1, RADIUS - depth]], sizes=2 * RADIUS, density=DENSITY,
+               material=name)
+        for name, x in (("light", 0.0), ("heavy", 0.1))
+    )  # fmt: skip
+    up = (0.0, 0.0, 1.0)
+    floors = (
+        PlaneWall(name="a", point=(0, 0, 0), normal=up, material="rough"),
+        PlaneWall(name="b", point=(0, 0, 0), normal=up, material="smooth"),
+    )
+    contacts = {pair: Contact(effective_modulus=value, friction=0) for pair, value in modulus.items()}
+    for some in ((floors[0],), (floors[1],), floors):
+        names = {floor.material for floor in some}
+        scene = Scene(
+            name="materials", duration=1.0, gravity=NO_GRAVITY, walls=some, bodies=bodies,
+            contacts={pair: law for pair, law in contacts.items() if pair[1] in names},
+            time_step=TimeStep(fixed=1e-6),
+        )  # fmt: skip
+        stepper = start(scene)
+        stepper.take(1)
+        force = by_id(stepper.state, "velocity")[:, 2] * MASS / (0.5 * stepper.dt)
+        stiffness = [sum(modulus[name, f.material] for f in some) * math.pi * RADIUS for name in ("light", "heavy")]
+        assert force == pytest.approx(np.repeat(stiffness, 2) * depth, rel=1e-9)
