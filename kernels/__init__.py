@@ -1,6 +1,6 @@
 """Warp kernels of warpcrete: device code only, built by factories that take the scalar type.
 
-A factory such as ``contacts.contact_kernel(scalar, ...)`` returns a kernel specialised for one
+A factory such as ``dem.contacts.contact_kernel(scalar, ...)`` returns a kernel specialised for one
 precision and one set of features. Factories are cached, so asking twice compiles nothing.
 """
 

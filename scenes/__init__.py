@@ -21,7 +21,8 @@ __all__ = ["channel", "modules", "pipe", "tube"]
 def modules() -> dict[str, ModuleType]:
     """Every scene's module, by its name."""
     names = sorted(info.name for info in pkgutil.iter_modules(__path__))
-    return {name: importlib.import_module(f"{__name__}.{name}") for name in names}
+    found = {name: importlib.import_module(f"{__name__}.{name}") for name in names if not name.startswith("_")}
+    return {name: module for name, module in found.items() if hasattr(module, "scene")}
 
 
 globals().update({name: module.scene for name, module in modules().items()})

@@ -60,11 +60,17 @@ WIDEST_STONE = 0.4
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
+
+def of_meshes(shapes: str) -> bool:
+    """Shapes are paths of meshes, not words."""
+    return any(Path(one).suffix and not one.strip().startswith("shape-") for one in shapes.split(","))
+
+
 BONDED = Needs("bonds", bool, "is on")
 HYDRATED = Needs("hydration", lambda fraction: fraction > 0, "is above 0")
 FROM_FILE = Needs("wall", lambda wall: wall not in ("analytic", "mesh"), "is a file")
 FACETED = Needs("wall", lambda wall: wall == "mesh", "is mesh")
-OF_MESHES = Needs("shapes", lambda shapes: bool(Path(shapes.split(",")[0]).suffix), "names meshes")
+OF_MESHES = Needs("shapes", of_meshes, "names meshes")
 SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
 NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
@@ -93,7 +99,9 @@ class PistonParameters:
     velocity: Annotated[float, "in the end [m/s]", Above(), Within(0, 1e3)] = 0.3
     ramp: Annotated[float, "travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
     travel: Annotated[
-        float | None, "at the end [m]; default: twice the ramp; in bends the arc, pi/2 x elbow_radius", Above()
+        float | None,
+        "at the end [m]; default: twice the ramp, the length without one, in bends pi/2 x elbow_radius",
+        Above(),
     ] = None
 
 
@@ -194,6 +202,10 @@ class PipeParameters(
         object.__setattr__(self, "unit", unit)
         if self.wall not in ("analytic", "mesh"):
             object.__setattr__(self, "wall", str(Path(self.wall).resolve()))
+        if of_meshes(self.shapes):
+            object.__setattr__(
+                self, "shapes", ",".join(str(Path(one.strip()).resolve()) for one in self.shapes.split(","))
+            )
         if self.is_bend:
             if self.elbow_radius <= self.radius:
                 refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")
@@ -439,6 +451,9 @@ def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: 
         return None
     # Many probes: between the corners of a few facets the wall comes nearest.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
+    if np.any(reach < 0):
+        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} probes find no wall",
+               "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
     bore = Bore.of(reach)
     return None if bore.is_round(given.radius) else bore
 
@@ -562,5 +577,9 @@ def _is_reference(given: PipeParameters) -> bool:
         "safety",
         "sample_interval",
         "travel",
+        "precision",
+        "energy_balance",
+        "overlap_limit",
+        "time_step",
     }
     return all(getattr(given, f.name) == f.default for f in fields(given) if f.name not in free)

@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--out", type=Path, help="folder for units.json and units.png")
     arguments = parser.parse_args()
-    print("| unit | peak, ours [kPa] | paper | ratio | plateau, ours [kPa] | paper | ratio | peak at [m] | time [s] |")
+    print("| unit | peak, ours [kPa] | paper | ratio | end, ours [kPa] | paper's plateau | ratio | at [m] | took [s] |")
     print("|---|---|---|---|---|---|---|---|---|")
     runs: dict[str, Run] = {}
     rows = []
@@ -89,9 +89,9 @@ def figure(rows: list[dict]):
             label=f"{LETTER[row['unit']]} {row['unit']}",
         )
         paper = PAPER[row["unit"]]
-        if "peak_travel" in paper:
-            axes.plot(paper["peak_travel"], paper["peak"] / 1e3, "+", color=line.get_color(), markersize=11, mew=2)
-            axes.axhline(paper["plateau"] / 1e3, color=line.get_color(), linestyle=":", linewidth=1)
+        if paper.peak_travel is not None:
+            axes.plot(paper.peak_travel, paper.peak / 1e3, "+", color=line.get_color(), markersize=11, mew=2)
+            axes.axhline(paper.plateau / 1e3, color=line.get_color(), linestyle=":", linewidth=1)
     axes.plot([], [], "k+", markersize=9, label="peak in the paper's text")
     axes.plot([], [], "k:", linewidth=1, label="plateau in the paper's text")
     axes.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None), xlim=(0, None))

@@ -95,8 +95,8 @@ def verification(module):
 
 def pytest_terminal_summary(terminalreporter, config):
     """A run of the whole suite on a GPU leaves a record of what it came to."""
-    whole = config.args == config.getini("testpaths") and not config.option.keyword and not config.option.lf
-    if not whole or len(devices()) < 2 or config.option.collectonly:
+    chosen = config.option.keyword or config.option.markexpr != "not slow"
+    if chosen or config.args != config.getini("testpaths") or len(devices()) < 2 or config.option.collectonly:
         return
     import warp as wp
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +20,10 @@ from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.provenance import fingerprint
+from warpcrete.core.run_loop import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
+from warpcrete.record.run_folder import TableRecorder
 
 TINY = dict(
     diameter=0.06, length=0.06, travel=0.004, ramp=0.002, settle=0.0, size_min=8e-3, size_max=12e-3, plug="plate"
@@ -72,7 +75,7 @@ def test_a_run_of_no_steps_and_a_balance_of_nothing_fail_the_check():
     assert not check(dataclasses.replace(run, bodies=moved))["all aggregates inside"][0]
     early = dataclasses.replace(run, series=run.series | {"travel": 0.9 * run.series["travel"]})
     assert not check(early)["finished"][0]
-    with pytest.raises(SceneError, match="velocity = 1000000000.0: must be in"):
+    with pytest.raises(SceneError, match=r"velocity = 1000000000\.0: must be in"):
         scenes.pipe(velocity=1e9)
 
 
@@ -282,7 +285,7 @@ def children(pid: int) -> list[int]:
     for folder in os.listdir("/proc"):
         if folder.isdigit():
             try:
-                parent = int(open(f"/proc/{folder}/stat").read().rpartition(")")[2].split()[1])
+                parent = int(Path(f"/proc/{folder}/stat").read_text().rpartition(")")[2].split()[1])
             except (OSError, IndexError):
                 continue
             if parent == pid:
@@ -292,7 +295,7 @@ def children(pid: int) -> list[int]:
 
 def alive(pid: int) -> bool:
     try:
-        return open(f"/proc/{pid}/stat").read().rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 
@@ -314,3 +317,65 @@ def test_workers_end_with_a_study_that_is_killed(tmp_path):
         assert wait_until(lambda: not any(map(alive, workers)), 20), [w for w in workers if alive(w)]
     finally:
         study.kill()
+
+
+class Broken(Recorder):
+    """Cannot write its last words."""
+
+    def finish(self, simulation, run):
+        raise RunFolderError("no room")
+
+
+def test_a_run_that_could_not_be_written_is_not_finished(tmp_path):
+    """So a study runs it again, and it can be resumed."""
+    recorders = [TableRecorder(tmp_path / "run"), Broken()]
+    path = tmp_path / "run" / "checkpoint.npz"
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu", recorders=recorders, checkpoint_path=path)
+    with pytest.raises(RunFolderError, match="no room"):
+        simulation.run()
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["finished"] is False
+    assert path.is_file()
+
+
+def test_nothing_half_written_stays_with_a_finished_run(tmp_path):
+    path = tmp_path / "checkpoint.npz"
+    (tmp_path / "partial-checkpoint.npz").write_bytes(b"half")
+    Simulation(scenes.pipe(**TINY), device="cpu", checkpoint_path=path).run()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_repeated_run_has_as_many_threads(tmp_path):
+    bare = ("--no-rerun", "--no-usd", "--quiet")
+    once = invoke("run", "pipe", *tiny_options(), "--threads", 1, "--precision", "float64", *bare, "--device", "cpu",
+                  "--out", tmp_path / "a")  # fmt: skip
+    again = invoke("run", tmp_path / "a" / "scene.json", *bare, "--out", tmp_path / "b")
+    assert once.exit_code == again.exit_code == 0, again.output
+    records = [json.loads((tmp_path / name / "scene.json").read_text()) for name in "ab"]
+    assert all(record["command"]["threads"] == 1 and record["precision"] == "float64" for record in records)
+    results = [json.loads((tmp_path / name / "result.json").read_text()) for name in "ab"]
+    assert results[0]["state_hash"] == results[1]["state_hash"]
+    assert results[0]["provenance"]["precision"] == "float64"
+
+
+def test_what_failed_before_it_began_can_be_let_go():
+    simulation = Simulation(scenes.pipe(**TINY | dict(time_step=0.01)), device="cpu")
+    with pytest.raises(SceneError, match="time_step"):
+        simulation.prepare()
+    simulation.release()
+    simulation.release()
+
+
+def test_a_method_must_bring_what_a_simulation_needs():
+    with pytest.raises(TypeError, match=r"Half lacks .*prepare"):
+        type("Half", (Simulation,), {"scene_type": int})
+    assert all(kind.__name__ != "Half" for kind in Simulation.kinds)
+
+
+def test_a_wall_with_a_crack_is_refused_by_its_name(tmp_path):
+    z = np.linspace(-0.05, 0.6, 14)
+    path = tube_of(tmp_path / "crack.stl", z, np.interp(z, [0, 0.45], [0.075, 0.070]))
+    mesh = trimesh.load(path)
+    mesh.update_faces(np.arange(len(mesh.faces)) != 500)
+    mesh.export(path)
+    with pytest.raises(SceneError, match=r"crack\.stl.* (is open|has gaps)"):
+        scenes.pipe(wall=str(path), length=0.3, travel=0.01, ramp=0.005)

@@ -54,7 +54,7 @@ def test_limits_may_be_others_or_none():
     strict = dataclasses.replace(scenes.channel(), watch=FlowWatch(force_balance=1e-3))
     with pytest.raises(InstabilityError, match=r"watch\.force_balance = 0\.001"):
         WatchedFlow(strict)(row_of(strict))
-    with pytest.raises(SceneError, match="watch speed = -1.0"):
+    with pytest.raises(SceneError, match=r"watch speed = -1\.0"):
         FlowWatch(speed=-1.0)
 
 

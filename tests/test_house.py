@@ -9,14 +9,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-LAYERS = {
-    "kernels.common": 0, "core": 1, "geometry": 2, "kernels.dem": 2, "kernels.mps": 2, "dem": 3, "mps": 3, "scenes": 4,
-    "methods": 4, "verification": 5, "record": 5, "studies": 6, "cli": 7, "": 8,
-}  # fmt: skip
+METHODS = sorted(path.parent.name for path in (ROOT / "warpcrete").glob("*/method.py") if path.parent.name != "core")
+"""Every method is a folder with this file, and may have kernels in a folder of its name."""
+LAYERS = {"kernels.common": 0, "core": 1, "geometry": 2, "scenes": 4, "methods": 4, "verification": 5, "record": 5,
+          "studies": 6, "cli": 7, "": 8}  # fmt: skip
+LAYERS |= {f"kernels.{name}": 2 for name in METHODS if (ROOT / "kernels" / name).is_dir()} | dict.fromkeys(METHODS, 3)
 """Packages of the house, and how high they stand: each imports from lower ones only. The package itself is on top."""
-ALONE = {("dem", "kernels.mps"), ("mps", "kernels.dem"), ("geometry", "kernels.dem"), ("geometry", "kernels.mps"),
-         ("kernels.dem", "core"), ("kernels.mps", "core"), ("kernels.dem", "geometry"), ("kernels.mps", "geometry"),
-         ("scenes", "methods"), ("record", "verification")}  # fmt: skip
+ALONE = {("scenes", "methods"), ("record", "verification")}
+ALONE |= {(one, f"kernels.{other}") for one in [*METHODS, "geometry"] for other in METHODS if one != other}
+ALONE |= {(f"kernels.{name}", package) for name in METHODS for package in ("core", "geometry")}
 """What a package imports nothing of although that stands lower: methods know nothing of each other, kernels of all."""
 
 

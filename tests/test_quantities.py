@@ -16,8 +16,8 @@ from warpcrete.dem.quantities import QUANTITIES, Known, no_plateau, past_ramp
 from warpcrete.dem.quantities import report as element_report
 from warpcrete.dem.sampling import unit_of
 from warpcrete.methods import METHODS
+from warpcrete.record.checks import failed_checks
 from warpcrete.studies.cases import Case
-from warpcrete.studies.checks import failed_checks
 from warpcrete.studies.drawing import draw
 from warpcrete.studies.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
 from warpcrete.studies.study import Study
@@ -66,8 +66,8 @@ def test_no_plateau_before_the_piston_moves_steadily_or_while_the_pressure_chang
     way = np.linspace(0, travel, 401)
     found = results(known_of(way, 10e3 * (1 + slope * way / travel)))
     assert ("plateau_pressure" in found) == plateau and "end_pressure" in found
-    scene = dataclasses.replace(PIPE)
-    run = SimpleNamespace(scene=scene, result=found, series={"travel": way}, packing=None)
+    scene = dataclasses.replace(PIPE, pipe=dataclasses.replace(PIPE.pipe, travel=travel))
+    run = SimpleNamespace(scene=scene, result=found, series={"travel": way}, packing=None, finished=True)
     lines = dict(element_report(run))
     assert bool(no_plateau(run)) != plateau and ("plateau pressure" in lines) != plateau
     if travel < 0.375:
@@ -146,7 +146,7 @@ def test_the_other_direction_has_less_or_more_weight():
 
 def test_the_other_direction_may_come_from_a_run():
     other = {
-        "unit": "horizontal", "plateau_pressure": {"value": 6e3, "unit": "Pa"},
+        "finished": True, "unit": "horizontal", "plateau_pressure": {"value": 6e3, "unit": "Pa"},
         "concrete_length": {"value": 1.5, "unit": "m"},
     }  # fmt: skip
     run = straight("vertical")
@@ -225,3 +225,10 @@ def test_a_run_that_fails_its_check_is_suspect(tmp_path):
     assert failed_checks(study.results["b"]) == ["momentum balance"] and failed_checks(study.results["a"]) == []
     assert study.suspect == {"b": ["momentum balance"]}
     assert [row["suspect"] for row in study.rows()] == [0, 1]
+
+
+def test_a_pressure_cut_within_the_ramp_blames_the_cut():
+    """Not the travel, which would have been enough."""
+    way = np.linspace(0, 0.1, 41)
+    run = SimpleNamespace(scene=PIPE, result=results(known_of(way, 1e4 + way)), series={"travel": way})
+    assert no_plateau(run) == "none: the run was cut before the piston had moved steadily for long enough"

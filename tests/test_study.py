@@ -92,7 +92,7 @@ def test_the_study_command(tmp_path):
         "study", "pipe", "--velocity", "0.3", "0.6", *options, "--device", "cpu", "--out", str(out), "--quiet"
     )
     assert done.returncode == 0, done.stderr
-    assert "| velocity [m/s] | peak [kPa] | plateau [kPa] | runs | failed | suspect |" in done.stdout
+    assert "| velocity [m/s] | peak [kPa] | runs | failed | suspect |" in done.stdout
     assert "2 of 2 cases done" in done.stdout
     record = json.loads((out / "study.json").read_text())
     assert [c["varied"] for c in record["cases"]] == [{"velocity": 0.3}, {"velocity": 0.6}]
@@ -108,3 +108,50 @@ def test_the_study_command(tmp_path):
         wrong = command("study", *words, "--quiet")
         assert wrong.returncode == 2 and complaint in wrong.stderr, (words, wrong.stderr)
         assert "Traceback" not in wrong.stderr
+
+
+def test_what_means_nothing_in_a_case_is_left_out_with_all_that_hangs_on_it(tmp_path):
+    """Without bonds there is no hydration, and so no modulus of it; what means nothing anywhere is refused."""
+    scene = pipe_module.scene
+    given = dict(bonds=False, hydration=0.1, hydration_modulus=1e8, bond_modulus=1e4)
+    assert scene.meaningful(given) == {"bonds": False}
+    assert scene.meaningful(given | {"bonds": True}) == given | {"bonds": True}
+    with pytest.raises(SceneError, match="facets = 32: means nothing unless wall is mesh"):
+        run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE | {"facets": 32}, out=tmp_path / "s")
+    with pytest.raises(SceneError, match="hydration = 'x': must be a number"):
+        run_study("pipe", pipe_module, {"hydration": [0.1, "x"]}, base=BASE | {"hydration_modulus": 1e7},
+                  out=tmp_path / "s", device="cpu")  # fmt: skip
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_parameter_is_held_or_varied_by_whichever_name(tmp_path):
+    tube = importlib.import_module("warpcrete.scenes.tube")
+    for base, varied in (({"radius": 0.07}, {"diameter": [0.1, 0.2]}), ({"diameter": 0.1}, {"radius": [0.05, 0.06]})):
+        with pytest.raises(SceneError, match=r"diameter = .*: is held and varied at once"):
+            run_study("tube", tube, varied, base=base, out=tmp_path / "s", device="cpu")
+    with pytest.raises(SceneError, match="repeat = 2: goes by seeds, and the scene has none"):
+        cases_of({}, {"velocity": [0.1]}, repeat=2, seeded=False)
+    assert cases_of({}, {"velocity": [0.1]}, seeded=False)[0].parameters == {"velocity": 0.1}
+
+
+def test_a_case_that_was_cut_before_its_checks_is_run_again(tmp_path):
+    """Its result is whole, but nobody has said that it may be trusted."""
+    out = tmp_path / "study"
+    study = run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, device="cpu", processes=1)
+    (name,) = study.results
+    path = out / name / "result.json"
+    result = json.loads(path.read_text())
+    assert set(result["checks"]) >= {"finished", "momentum balance"}
+    del result["checks"]
+    path.write_text(json.dumps(result))
+    again = resume_study(out, pipe_module, processes=1)
+    assert "checks" in again.results[name] and "checks" in json.loads(path.read_text())
+
+
+def test_a_study_without_cases_or_settings_is_none(tmp_path):
+    case = {"name": "a", "varied": {}, "parameters": {}}
+    whole = {"scene": "pipe", "cases": [case], "command": {}, "device": "cpu", "precision": "float32"}
+    for record in (whole | {"cases": []}, {key: value for key, value in whole.items() if key != "precision"}):
+        (tmp_path / "study.json").write_text(json.dumps(record))
+        with pytest.raises(RunFolderError, match="holds no study"):
+            resume_study(tmp_path, pipe_module)

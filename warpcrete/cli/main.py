@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -111,6 +112,8 @@ def _repeat_command(path: Path) -> click.Command:
             raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
         record, module = job.saved_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
+        if "threads" in record.get("command", {}):
+            kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
         job.run(record["scene"], module, record["parameters"], settings | kept | options.given(settings))
 
     return click.Command(str(path), params=options.run_options(), callback=callback, help="Repeat a saved run.")
@@ -159,8 +162,8 @@ def verify(**settings: Any) -> None:
 STUDY_HELP = """A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
 Every option of `warpcrete run SCENE` that is a parameter of the scene takes one value or several; cases are all
-combinations. On a GPU they run side by side as batches, on a CPU in processes, one a core. The folder holds
-study.md, study.csv, study.png and a run folder for each case.
+combinations. On a GPU those of discrete elements run side by side as batches and flows in turn, on a CPU all run in
+processes, one a core. The folder holds study.md, study.csv, study.png and a run folder for each case.
 
 \b
   --repeat N             run every case with N seeds                                      [default: 1]
@@ -169,7 +172,7 @@ study.md, study.csv, study.png and a run folder for each case.
   --resume FOLDER        go on with a study: finished cases are not run again
   --device, --precision  as for run
   --processes N          at a time on a CPU                                               [default: one a core]
-  --frames, --rerun, --usd, --checkpoint-every   as for run; no recordings unless asked for
+  --frames, --checkpoint-every, and recorders   as for run; no recordings unless asked for, as with --rerun
   --quiet                no progress bar
 
 Exits with 1 if a case failed, with 3 if every case ended but a check of one failed, with 130 if it was interrupted.
@@ -198,7 +201,7 @@ def main() -> None:
         click.echo(f"error: {' '.join(error.format_message().split())}", err=True)
         raise SystemExit(2) from None
     except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted before the run began; nothing was written", err=True)
+        click.echo("interrupted", err=True)
         raise SystemExit(130) from None
     except InstabilityError as error:
         click.echo(f"error: {error}", err=True)
@@ -207,5 +210,5 @@ def main() -> None:
         click.echo(f"error: {error}", err=True)
         raise SystemExit(2) from None
     except OSError as error:
-        click.echo(f"error: {error.filename or 'file system'}: {error.strerror}", err=True)
-        raise SystemExit(1) from None
+        click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)
+        raise SystemExit(2) from None

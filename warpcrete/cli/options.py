@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from ..core.parameters import Alias, Field, OneOf
+from ..methods import METHODS
 from ..record.recorders import RECORDERS
 
 
@@ -77,6 +78,7 @@ def given(values: Mapping[str, Any], context: click.Context | None = None) -> di
 
 def run_options() -> list[click.Parameter]:
     """Options of every run, whatever its scene."""
+    colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),
         click.Option(["--device"], help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
@@ -87,8 +89,8 @@ def run_options() -> list[click.Parameter]:
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
         click.Option(["--frames"], type=float, default=25.0, show_default=True,
                      help="recorded frames a simulated second, at most one a sample"),
-        click.Option(["--colour"], type=click.Choice(["speed", "size", "force", "pressure", "phase"]), default="speed",
-                     show_default=True, help="aggregates by speed, size or force, flows by speed, pressure or phase"),
+        click.Option(["--colour"], type=click.Choice(colourings), default="speed", show_default=True,
+                     help="aggregates by speed, size or force, flows by speed, pressure or phase"),
         click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),
         *(
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)

@@ -18,8 +18,8 @@ from ..core.progress import ProgressBar
 from ..core.run_loop import Run
 from ..core.units import number
 from ..methods import Simulation, method_of
+from ..record.checks import failed_checks
 from ..record.recorders import RECORDERS, Look, recorders_of
-from ..studies.checks import Checks, checked, failed_checks
 from ..studies.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
@@ -56,9 +56,17 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
             f"start again with 'warpcrete run {folder / 'scene.json'}'"
         )
     settings = dict(record.get("command", {}))
+    settings = {kind.name: False for kind in RECORDERS} | settings  # recorders that came after that run
     if set(settings) != set(KEPT):
-        raise RunFolderError(f"'{folder / 'scene.json'}': does not say how the run was recorded; it cannot be resumed")
-    settings["threads"] = min(settings["threads"], default_threads())
+        raise RunFolderError(
+            f"'{folder / 'scene.json'}': does not say how the run was recorded; "
+            "a case of a study goes on with 'warpcrete study --resume'"
+        )
+    if settings["threads"] > default_threads():
+        here, there = default_threads(), settings["threads"]
+        click.echo(f"note: the run began with {there} threads, here are {here}: it goes on, but not with the bits of "
+                   "one that was never cut", err=True)  # fmt: skip
+        settings["threads"] = default_threads()
     kept = {"device": record.get("device"), "precision": record.get("precision", "float32")}
     run(
         record["scene"], module, record["parameters"], settings | kept | {"out": folder, "live": live, "quiet": quiet},
@@ -101,7 +109,7 @@ def run(
         device=settings["device"],
         precision=precision,
         threads=settings["threads"],
-        recorders=recorders_of(folder, settings, look, {key: settings[key] for key in KEPT}),
+        recorders=recorders_of(folder, module.check, settings, look, {key: settings[key] for key in KEPT}),
         frame_interval=1.0 / frames,
         progress=False if settings["quiet"] else progress,
         checkpoint_path=checkpoint if every else None,
@@ -121,15 +129,16 @@ def run(
             simulation.prepare()
         with StopAtSample([simulation]):
             done = simulation.run()
+            pipeline = _pipeline_report(done, settings, other)
     finally:
         progress.close()
-    pipeline = _pipeline_report(done, settings, other)
-    checks = checked(module, done)
-    report(done, checks, pipeline)
+    report(done, pipeline)
     if not done.finished:
         raise SystemExit(INTERRUPTED)
     if failed := failed_checks(done.result):
-        click.echo(f"FAILED: {len(failed)} of {len(checks)} checks ({', '.join(failed)}); do not trust this run")
+        click.echo(
+            f"FAILED: {len(failed)} of {len(done.result['checks'])} checks ({', '.join(failed)}); do not trust this run"
+        )
         raise SystemExit(CHECK_FAILED)
 
 
@@ -155,16 +164,17 @@ def _pipeline_report(run: Run, settings: dict[str, Any], other: dict[str, Any] |
     height, distance = settings["pipeline_vertical"], settings["pipeline_horizontal"]
     if height is None and distance is None:
         return []
-    if "plateau_pressure" not in run.result:
-        return [("pipeline, Eq. 13", "none: it goes by the plateau, and this run has none")]
-    estimate = run.result["pipeline_estimate"] = pipeline_estimate(run, height or 0.0, distance or 0.0, other)
+    estimate = pipeline_estimate(run, height or 0.0, distance or 0.0, other) if run.finished else None
+    if estimate is None:
+        return [("pipeline, Eq. 13", "none: it goes by the plateau of a finished run")]
+    run.result["pipeline_estimate"] = estimate
     if run.folder is not None:
         write_json(run.folder / "result.json", run.result)
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
 
 
-def report(run: Run, checks: Checks, more: Iterable[tuple[str, str]] = ()) -> None:
+def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
     """Print what people look at first; `more` are labels and texts to come after what the method reports."""
     result = run.result
 
@@ -179,8 +189,8 @@ def report(run: Run, checks: Checks, more: Iterable[tuple[str, str]] = ()) -> No
     total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
     show("time", f"{total:.0f} s for {result['steps']} steps ({number(speed['steps_per_second']):.0f} a second) "
          f"on {result['provenance']['device']}")  # fmt: skip
-    for name, (passed, found) in checks.items():
-        show("check", f"{'ok  ' if passed else 'FAIL'} {name}: {found}")
+    for name, check in result.get("checks", {}).items():
+        show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")
     if not run.finished:
         show("interrupted", f"at t = {number(result['simulated_time']):.3f} s; everything so far is written")
         if run.folder is not None and (run.folder / "checkpoint.npz").is_file():

@@ -28,6 +28,6 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     for name, field in known.items():
         field.check(values[name], name)
     thickness = values["slip_thickness"]
-    concrete = concrete_of(values["concrete"], thickness, **{name: values[name] for name in CONSTANTS})
+    concrete = concrete_of(values["concrete"], **{name: values[name] for name in CONSTANTS})
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
     click.echo(table(concrete, line, flows or (() if pressures else (FLOW,)), pressures))

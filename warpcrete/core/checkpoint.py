@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .errors import RunFolderError
-from .files import whole_file
+from .files import partial_of, whole_file
 from .provenance import fingerprint, processor, versions
 
 FORMAT = 3
@@ -86,8 +86,9 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
 
 
 def remove(path: Path) -> None:
-    """Remove a checkpoint."""
+    """Remove a checkpoint, and what an interruption left of writing one."""
     path.unlink(missing_ok=True)
+    partial_of(path).unlink(missing_ok=True)
 
 
 def _kind(device: Any) -> str:

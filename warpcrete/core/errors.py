@@ -21,7 +21,7 @@ class DeviceError(WarpcreteError):
 
 
 class RunFolderError(WarpcreteError):
-    """A run folder cannot be created or read."""
+    """A run folder, or a file of one, cannot be created, read or written."""
 
 
 class InstabilityError(WarpcreteError):

@@ -19,7 +19,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     What the system refuses becomes a :class:`RunFolderError` that names the file.
     """
-    partial = path.with_name(f"partial-{path.name}")
+    partial = partial_of(path)
     try:
         yield partial
         partial.replace(path)
@@ -28,6 +28,11 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def partial_of(path: Path) -> Path:
+    """Where a file is written to before it is whole."""
+    return path.with_name(f"partial-{path.name}")
 
 
 def cannot_write(path: Path, error: Exception) -> RunFolderError:

@@ -97,8 +97,9 @@ def run_in_turn(
             if checkpoint is not None:
                 simulation.resume(checkpoint)
             outcomes.append(simulation.run())
-            simulation.release()
         except (Exception, KeyboardInterrupt) as error:
             outcomes.append(error)
+        finally:
+            simulation.release()
         progress("running", (done + 1) / len(simulations))
     return outcomes

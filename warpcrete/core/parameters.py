@@ -210,9 +210,14 @@ class SceneFunction(Generic[P, S]):
 
         def meant(name: str) -> bool:
             rules = known[name].of_kind(Needs) if name in known else iter(())
-            return all(rule.test(values.get(rule.field, known[rule.field].default)) for rule in rules)
+            return all(rule.test(known[rule.field].converted(held(rule.field), rule.field)) for rule in rules)
 
-        return {name: value for name, value in values.items() if meant(name)}
+        def held(name: str) -> Any:
+            return values.get(name, known[name].default)
+
+        while any(not meant(name) for name in values):  # what one of them needs may itself mean nothing
+            values = {name: value for name, value in values.items() if meant(name)}
+        return values
 
     def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters by their own names, where some are given by another one."""

@@ -40,4 +40,4 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.refresh()
             self._bar.close()
-            self._bar = None
+            self._bar, self._phase = None, ""

@@ -134,6 +134,9 @@ class Simulation:
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
         if "scene_type" in cls.__dict__:
+            missing = [name for name in vars(Simulation) if getattr(getattr(cls, name), "__isabstractmethod__", False)]
+            if missing:
+                raise TypeError(f"{cls.__name__} lacks {', '.join(missing)}")
             Simulation.kinds.append(cls)
 
     def __new__(cls: type[S], scene: Any, **settings: Any) -> S:
@@ -143,7 +146,9 @@ class Simulation:
         wanted = getattr(kind, "scene_type", None)
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
-            hint = "warpcrete.Simulation takes both" if wanted else "warpcrete.scenes has functions that make some"
+            hint = (
+                "warpcrete.Simulation takes every scene" if wanted else "warpcrete.scenes has functions that make some"
+            )
             refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
         return super().__new__(kind)
 
@@ -316,6 +321,7 @@ class Simulation:
                     recorder.finish(self, run)
                 except Exception as error:  # one broken output must not cost the others
                     failures.append(error)
+                    run.finished = run.result["finished"] = False
             if finished and not failures:
                 if self.checkpoint_path is not None:
                     checkpoint.remove(self.checkpoint_path)

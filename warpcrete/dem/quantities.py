@@ -137,12 +137,15 @@ def no_plateau(run: Run) -> str:
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
         return ""
     travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
-    if not past_ramp(run.scene, travel):
-        return (
-            f"none: of {travel:.4g} m of travel the last {WINDOW * travel:.3g} m must come after the ramp of "
-            f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
-        )
-    return f"none: the pressure still changes by more than {100 * LEVEL:.0f} % from one fifth of the travel to the next"
+    if past_ramp(run.scene, travel):
+        change = f"{100 * LEVEL:.0f} %"
+        return f"none: the pressure still changes by more than {change} from one fifth of the travel to the next"
+    if past_ramp(run.scene, pipe.travel):
+        return "none: the run was cut before the piston had moved steadily for long enough"
+    return (
+        f"none: of {travel:.4g} m of travel the last {WINDOW * travel:.3g} m must come after the ramp of "
+        f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
+    )
 
 
 def _pumped(of):

@@ -204,8 +204,10 @@ class ElementSimulation(Simulation):
 
     def release(self) -> None:
         """Let go of the device's memory; the run's results stay."""
-        self.stepper.batch.states.clear()
-        del self.state, self.stepper, self.sampler, self.watch
+        if "stepper" in self.__dict__:
+            self.stepper.batch.states.clear()
+        for name in ("state", "stepper", "sampler", "watch"):  # a run may have failed before it had them all
+            self.__dict__.pop(name, None)
 
     # Samples and results.
 

@@ -53,7 +53,8 @@ class Watch:
                 deepest_sphere(self.model, self.state),
                 f"overlap is {deepest:.3g} of what swallows a sphere or brings it behind a wall "
                 f"(watch.overlap = {limits.overlap:g})",
-                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap",
+                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
+                "(overlap_limit of the scene pipe)",
             )
         resolution = self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
         if resolution > COARSEST:

@@ -96,7 +96,8 @@ class FluidSimulation(Simulation):
 
     def release(self) -> None:
         """Let go of the device's memory; the run's results stay."""
-        del self.flow, self.stepper
+        for name in ("flow", "stepper"):  # a run may have failed before it had them
+            self.__dict__.pop(name, None)
 
     def measure(self) -> dict[str, float]:
         """Measure, and append the row to `rows`."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.run_loop import Recorder
+from .checks import Check, CheckRecorder
 from .picture import PictureRecorder
 from .rerun import RerunRecorder
 from .run_folder import TableRecorder
@@ -45,14 +46,18 @@ RECORDERS = (
 
 
 def recorders_of(
-    folder: Path, chosen: Mapping[str, Any], look: Look | None = None, command: dict[str, Any] | None = None
+    folder: Path,
+    check: Check,
+    chosen: Mapping[str, Any],
+    look: Look | None = None,
+    command: dict[str, Any] | None = None,
 ) -> list[Recorder]:
-    """Recorders of a run folder: table and picture always, of the others those with a true entry in `chosen`.
+    """Recorders of a run folder: table, checks and picture always, of the others those with a true entry in `chosen`.
 
-    `command` are settings to keep for a resumed run.
+    `check` is the scene's; `command` are settings to keep for a resumed run.
     """
     look = look or Look()
-    found: list[Recorder] = [TableRecorder(folder, command)]
+    found: list[Recorder] = [TableRecorder(folder, command), CheckRecorder(check)]
     found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):
         found.append(RerunRecorder(None, live=look.live, colouring=look.colouring, network=look.network))

@@ -88,9 +88,8 @@ class RerunRecorder(Recorder):
         self._set_time(simulation)
         spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.colours())
         self._log(f"scene/{display.noun}", spheres)
-        for number, wall in enumerate(display.walls()):
-            if wall.moves:
-                self._log_pose(number, wall.name)
+        for number, name in self._moving:
+            self._log_pose(number, name)
         if self.network:
             for name, (lines, colour) in display.network().items():
                 self._log(f"scene/network/{name}", rr.LineStrips3D(lines, colors=[colour], radii=LINE))
@@ -158,6 +157,7 @@ class RerunRecorder(Recorder):
         rr = self._rr
         self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
         self._id, self._parts, self._display = recording_id, part, display
+        self._moving = [(number, wall.name) for number, wall in enumerate(display.walls()) if wall.moves]
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         try:

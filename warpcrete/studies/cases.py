@@ -31,6 +31,7 @@ def cases_of(
     defaults: Mapping[str, Any] | None = None,
     repeat: int = 1,
     one_at_a_time: bool = False,
+    seeded: bool = True,
 ) -> list[Case]:
     """Cases of a study: every combination of the values, or each parameter alone; seeds count from the base's.
 
@@ -43,6 +44,8 @@ def cases_of(
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more different values")
+    if repeat > 1 and not seeded:
+        refuse("repeat", repeat, "goes by seeds, and the scene has none")
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "goes by seeds, which the study names itself", "leave out one of both")
     points = _alone(base, varied, defaults or {}) if one_at_a_time and varied else _combined(varied)
@@ -50,7 +53,7 @@ def cases_of(
     cases: list[Case] = []
     for point in points:
         for seed in range(first, first + repeat):
-            seeds = {} if "seed" in point else {"seed": seed}
+            seeds = {"seed": seed} if seeded and "seed" not in point else {}
             shown = point | (seeds if repeat > 1 or not point else {})
             text = "-".join(f"{name}={_word(value)}" for name, value in shown.items())
             name = f"{len(cases) + 1:03d}-{text}"[:LONGEST_NAME]

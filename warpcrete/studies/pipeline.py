@@ -31,17 +31,21 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
             f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp",
         )  # fmt: skip
     if other is not None:
-        if "plateau_pressure" not in other or "concrete_length" not in other:
+        if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:
             raise RunFolderError(f"pipeline_other = '{source}': holds no finished pipe run with a plateau")
         one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
 
 
-def pipeline_estimate(run: Run, height: float, distance: float, other: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Eq. 13 with the plateau of `run` for its own direction.
+def pipeline_estimate(
+    run: Run, height: float, distance: float, other: dict[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """Eq. 13 with the plateau of `run` for its own direction; None if it has no plateau.
 
     The other direction comes from `other`, the result.json of a run of the other straight unit; without one it
     is this run's plateau less (or plus) the weight of the concrete, an assumption that the result names.
     """
+    if "plateau_pressure" not in run.result:
+        return None
     pipe = run.scene.pipe
     own = number(run.result["plateau_pressure"]) / pipe.concrete_length
     gravity = -run.scene.gravity[2]

@@ -18,7 +18,6 @@ from ..core.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
-from .checks import checked
 
 Progress = Callable[[str, float, dict[str, Any]], None]
 Book = Callable[[Case, Any], None]
@@ -37,7 +36,7 @@ def simulation_of(
         device=record["device"],
         precision=record["precision"],
         threads=threads,
-        recorders=recorders_of(here, command),
+        recorders=recorders_of(here, module.check, command),
         frame_interval=1.0 / command["frames"],
         progress=tell,
         checkpoint_path=checkpoint if every else None,
@@ -73,8 +72,6 @@ def run_on_gpu(
         method = method_of(simulations[0].scene)
         outcomes = method.run_many(simulations, [checkpoint for _, checkpoint in pairs], packing)
     for case, outcome in zip(pending, outcomes):
-        if isinstance(outcome, Run):
-            checked(module, outcome)
         book(case, outcome)
 
 
@@ -99,9 +96,10 @@ def run_in_processes(
                 for future in done:
                     case = running.pop(future)
                     try:
-                        book(case, future.result())
+                        outcome = future.result()
                     except Exception as broken:  # a process that was killed, or what nobody foresaw
-                        book(case, WarpcreteError(f"its process failed: {type(broken).__name__}: {broken}"))
+                        outcome = WarpcreteError(f"its process failed: {type(broken).__name__}: {broken}")
+                    book(case, outcome)
             except KeyboardInterrupt:
                 stop.set()  # those that run end at their next sample
             except BrokenExecutor as broken:
@@ -144,6 +142,5 @@ def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case)
     run_many = method_of(simulation.scene).run_many
     (outcome,) = run_many([simulation], [checkpoint], lambda phase, fraction: hear(phase, fraction, {}))
     if isinstance(outcome, Run):
-        checked(module, outcome)
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None

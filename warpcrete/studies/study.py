@@ -1,6 +1,7 @@
 """Parameter studies: cases from lists of values, run side by side, with one table and one figure.
 
-On a GPU all cases that need the same features are one batch; on a CPU each runs in a process of its own. Every case
+On a GPU cases of discrete elements that need the same features are one batch, flows run one after the other; on a CPU
+each case runs in a process of its own. Every case
 fills a run folder of its own below the study's, and a study that is started again runs only what is not finished.
 """
 
@@ -25,9 +26,9 @@ from ..core.provenance import provenance
 from ..core.run_loop import Run
 from ..core.units import number, shown
 from ..methods import method_of
+from ..record.checks import failed_checks
 from ..record.recorders import RECORDERS
 from .cases import Case, cases_of
-from .checks import failed_checks
 from .drawing import draw
 from .running import run_in_processes, run_on_gpu
 
@@ -99,12 +100,13 @@ class Study:
 
     def table(self) -> str:
         """Markdown table, in the units that people read."""
-        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.quantities]
+        quantities = [each for each in self.quantities if any(each.name in result for result in self.results.values())]
+        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in quantities]
         head = [*map(self.heading, self.varied), *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
         for row in self.rows():
             cells = [str(row.get(name, "")) for name in self.varied]
-            for each in self.quantities:
+            for each in quantities:
                 factor = shown(each.unit)[0]
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
                 text = f"{mean:.2f}" if np.isfinite(mean) else "none"
@@ -156,6 +158,9 @@ def run_study(
     known = declared_fields(module.scene.parameters)
     given: dict[str, Any] = module.scene.resolved(base or {})
     varied = _lists(module.scene, varied)
+    for name in varied:
+        if name in given:
+            refuse(name, given[name], "is held and varied at once", "leave out one of both")
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
@@ -164,13 +169,17 @@ def run_study(
             refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
         given["precision"] = precision
     defaults = {name: found.default for name, found in known.items()}
-    cases = cases_of(given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time)
+    cases = cases_of(
+        given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
+    )
     cases = _meaningful(module.scene, cases)
     positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     found = find_device(device)
-    for case in cases:
-        module.scene(**case.parameters)
+    for place, case in enumerate(cases):
+        made = module.scene(**case.parameters)
+        # Paths, for one, are written down as the scene has them, whole.
+        cases[place] = replace(case, parameters={name: made.parameters[name] for name in case.parameters})
     check_new(out)
     out.mkdir(parents=True)
     write_json(
@@ -192,9 +201,9 @@ def resume_study(folder: Path, module: Any, *, processes: int | None = None, pro
     record = read_json(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
-        missing = {"scene", "command", "device"} - set(record)
-        if missing:
-            raise KeyError(", ".join(sorted(missing)))
+        missing = {"scene", "command", "device", "precision"} - set(record)
+        if missing or not cases:
+            raise KeyError(", ".join(sorted(missing)) or "cases")
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
     method = method_of(module.scene(**cases[0].parameters))
@@ -231,7 +240,7 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
     for name, values in varied.items():
         (own,) = scene.resolved({name: None})
         if own in found:
-            refuse(name, values, f"is another name of {own}, which varies too", "leave out one")
+            refuse(name, values, f"{own} varies already, by this or another name of it", "leave out one")
         found[own] = [scene.resolved({name: value})[own] for value in values]
     return found
 
@@ -254,7 +263,7 @@ def _known(study: Study, case: Case) -> bool:
         return True
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
         result = read_json(folder / "result.json")
-        if result.get("finished"):
+        if result.get("finished") and "checks" in result:
             study.results[case.name] = result
             return True
     if folder.exists() and not (folder / "checkpoint.npz").is_file():
