@@ -8,6 +8,8 @@ from conftest import by_id, pair_history
 from test_contacts import flowing_scene, small_packing
 
 from warpcrete import Simulation, scenes
+from warpcrete.core import cores
+from warpcrete.core.cores import Crowding
 from warpcrete.core.device import find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.bodies import placed_bodies
@@ -128,3 +130,48 @@ def test_senseless_numbers_of_threads_are_refused():
     for threads in (0, -1, 5000):
         with pytest.raises(SceneError, match=f"threads = {threads}"):
             Simulation(scenes.pipe(**SMALL), device="cpu", threads=threads)
+
+
+@pytest.mark.parametrize("kind", ["elements", "flow", "two phases"])
+def test_one_thread_that_does_the_work_of_all_computes_the_same(kind, monkeypatch):
+    """While other processes want the cores; to the bit, whenever it begins and ends."""
+    if kind == "elements":
+        scene = scenes.pipe(**SMALL | dict(travel=0.005, ramp=0.002))
+    else:
+        scene = scenes.channel(spacing=5e-3, duration=0.02, aggregates=kind == "two phases")
+    hashes, used = set(), set()
+    for crowded in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
+        asked = iter(range(10**9))
+
+        def look(self, crowded=crowded, asked=asked):
+            used.add(crowded_now := crowded(next(asked)))
+            return crowded_now
+
+        monkeypatch.setattr(Crowding, "look", look)
+        run = Simulation(scene, device="cpu", threads=2).run()
+        hashes.add(run.result["state_hash"])
+    assert len(hashes) == 1 and used == {False, True}
+
+
+def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch):
+    now, late = [100.0], [0.0]
+    monkeypatch.setattr(cores, "waited", lambda thread: late[0])
+    monkeypatch.setattr(cores.time, "monotonic", lambda: now[0])
+    crowding = Crowding()
+    crowding.enter()
+    assert crowding.on_trial and not crowding.look()
+    crowding.stepped(0.02)  # nobody waited
+    assert not crowding.on_trial and not crowding.crowded
+    for hold in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
+        late[0] += 0.015
+        crowding.stepped(0.02)
+        assert crowding.look()
+        now[0] += 0.99 * hold
+        assert crowding.look()
+        now[0] += 0.02 * hold
+        assert not crowding.look() and crowding.on_trial
+    crowding.stepped(0.02)
+    late[0] += 0.015
+    crowding.stepped(0.02)
+    now[0] += 0.51
+    assert not crowding.look()  # after a quiet time the wait is short again

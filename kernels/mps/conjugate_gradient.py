@@ -70,7 +70,10 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 @functools.cache
 def serial_solver(scalar, dimensions: int, vector: bool):
-    """Kernel of one task a thread: the whole solve over rows `first` to `end`; adds to `x`."""
+    """Kernel of one task a thread: the whole solve; adds to `x`.
+
+    Rows are in `parts` chunks, of which a thread takes those from `lower` to `upper`; there are `workers` threads.
+    """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Flow = flow_struct(scalar)
@@ -86,11 +89,11 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         tolerance: wp.float64,
         absolute_tolerance: wp.float64,
         maximum: wp.int32,
-        # chunk
-        part: wp.int32,
+        # chunks
         parts: wp.int32,
-        first: wp.int32,
-        end: wp.int32,
+        lower: wp.int32,
+        upper: wp.int32,
+        workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
         # state, read
         matrix: Matrix,
@@ -101,16 +104,17 @@ def serial_solver(scalar, dimensions: int, vector: bool):
     ):
         if flags[HALTED] != 0:
             return
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for i in range(first, end):
-            z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-            system.direction[i] = z
-            rz += f.inner(system.residual[i], z)
-            rr += f.inner(system.residual[i], system.residual[i])
-        system.partial[part] = rz
-        system.partial[parts + part] = rr
-        meet(gate, parts)
+        for part in range(lower, upper):
+            own_rz = wp.float64(0.0)
+            own_rr = wp.float64(0.0)
+            for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
+                z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+                system.direction[i] = z
+                own_rz += f.inner(system.residual[i], z)
+                own_rr += f.inner(system.residual[i], system.residual[i])
+            system.partial[part] = own_rz
+            system.partial[parts + part] = own_rr
+        meet(gate, workers)
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         for k in range(parts):
@@ -120,36 +124,39 @@ def serial_solver(scalar, dimensions: int, vector: bool):
         goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
         count = wp.int32(0)
         while rr > goal and count < maximum:
-            pq = wp.float64(0.0)
-            for i in range(first, end):
-                own = system.direction[i]
-                sum = matrix.diagonal[i] * own - product(
-                    matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity, matrix.near_count[i]
-                )
-                sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
-                system.product[i] = sum
-                pq += f.inner(own, sum)
-            system.partial[2 * parts + part] = pq
-            meet(gate, parts)
+            for part in range(lower, upper):
+                own_pq = wp.float64(0.0)
+                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
+                    own = system.direction[i]
+                    sum = matrix.diagonal[i] * own - product(
+                        matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
+                        matrix.near_count[i],
+                    )  # fmt: skip
+                    sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
+                    system.product[i] = sum
+                    own_pq += f.inner(own, sum)
+                system.partial[2 * parts + part] = own_pq
+            meet(gate, workers)
             pq = wp.float64(0.0)
             for k in range(parts):
                 pq += system.partial[2 * parts + k]
             if pq <= wp.float64(0.0):
                 break
             alpha = scalar(rz / pq)
-            rz_after = wp.float64(0.0)
-            rr = wp.float64(0.0)
-            for i in range(first, end):
-                x[i] = x[i] + alpha * system.direction[i]
-                left = system.residual[i] - alpha * system.product[i]
-                system.residual[i] = left
-                z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-                system.product[i] = z
-                rz_after += f.inner(left, z)
-                rr += f.inner(left, left)
-            system.partial[part] = rz_after
-            system.partial[parts + part] = rr
-            meet(gate, parts)
+            for part in range(lower, upper):
+                own_rz = wp.float64(0.0)
+                own_rr = wp.float64(0.0)
+                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
+                    x[i] = x[i] + alpha * system.direction[i]
+                    left = system.residual[i] - alpha * system.product[i]
+                    system.residual[i] = left
+                    z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+                    system.product[i] = z
+                    own_rz += f.inner(left, z)
+                    own_rr += f.inner(left, left)
+                system.partial[part] = own_rz
+                system.partial[parts + part] = own_rr
+            meet(gate, workers)
             rz_after = wp.float64(0.0)
             rr = wp.float64(0.0)
             for k in range(parts):
@@ -157,23 +164,23 @@ def serial_solver(scalar, dimensions: int, vector: bool):
                 rr += system.partial[parts + k]
             beta = scalar(rz_after / rz)
             rz = rz_after
-            for i in range(first, end):
+            for i in range(flow.count * lower / parts, flow.count * upper / parts):
                 system.direction[i] = system.product[i] + beta * system.direction[i]
-            if part == 0 and count < system.history.shape[0]:
+            if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)
             count += 1
-            meet(gate, parts)
-        if part == 0:
+            meet(gate, workers)
+        if lower == 0:
             system.outcome[ITERATIONS] = wp.float64(count)
             system.outcome[BEFORE] = start
             system.outcome[AFTER] = wp.sqrt(rr)
             if not rr <= goal:
                 flags[FAILED] = what
         # Nobody may look at the flags before all have left the loop.
-        meet(gate, parts)
-        if part == 0 and flags[FAILED] != 0:
+        meet(gate, workers)
+        if lower == 0 and flags[FAILED] != 0:
             flags[HALTED] = 1
-        meet(gate, parts)
+        meet(gate, workers)
 
     return solve
 

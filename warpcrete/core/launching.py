@@ -5,7 +5,9 @@ Arguments are bound to a kernel's parameters by name, never by place.
 
 from __future__ import annotations
 
+import functools
 import math
+import time
 import weakref
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -14,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from ..kernels.common.barrier import GATE, barrier
+from .cores import Crowding
 from .device import parallel
 from .interrupts import put_off
 
@@ -116,41 +119,75 @@ def graph_sizes(count: int, largest: int) -> list[int]:
     return [largest] * (count // largest) + rest
 
 
-def barrier_stage(threads: int, device: Any) -> list[Stage]:
-    """What a thread does to wait for the others; nothing if it is alone."""
-    if threads == 1:
-        return []
-    gate = wp.zeros(GATE, dtype=wp.int32, device=device)
-    return [Stage(barrier, 1, {"gate": gate, "parties": threads}, device)]
+def by_one_thread(step: Step) -> Step:
+    """A step of several threads as one thread takes it: what all do up to a barrier, then up to the next."""
+    parts: list[list[list[Any]]] = []
+    for stages in step:
+        between: list[list[Any]] = [[]]
+        for stage in stages:
+            if isinstance(stage, Stage) and stage.kernel is barrier:
+                between.append([])
+            else:
+                between[-1].append(stage)
+        parts.append(between)
+    return [[stage for phase in zip(*parts, strict=True) for stages in phase for stage in stages]]
 
 
 class Launcher:
-    """Replays graphs of so many steps each, with as many threads as a step has lists of stages."""
+    """Replays graphs of so many steps each, with as many threads as a step has lists of stages.
+
+    While other processes want the cores, one thread does the work of all; see :mod:`.cores`.
+    """
 
     def __init__(self, threads: int, device: Any) -> None:
         self.threads, self.device = threads, device
-        self._graphs: dict[int, list[Any]] = {}
+        self._graphs: dict[tuple[int, bool], list[Any]] = {}
+        self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
+        """Where threads wait for one another, shape (GATE,)."""
+        self.crowding = Crowding()
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         if self._pool is not None:
             weakref.finalize(self, self._pool.shutdown, wait=False)
+
+    def barrier(self) -> list[Stage]:
+        """What a thread does to wait for the others; nothing if it is alone."""
+        if self.threads == 1:
+            return []
+        return [Stage(barrier, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
         """Forget the graphs: they hold arrays or chunks that are no more."""
         self._graphs.clear()
 
-    def replay(self, step: Step, sizes: list[int], ended: Callable[[], bool]) -> None:
-        """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle."""
-        for size in set(sizes) - set(self._graphs):
-            self._graphs[size] = self._capture(step, size)
+    def replay(self, step: Step, alone: Callable[[], Step], sizes: list[int], ended: Callable[[], bool]) -> None:
+        """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle.
 
-        def run(part: int) -> None:
-            for size in sizes:
-                wp.capture_launch(self._graphs[size][part])
-                # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
-                if not parallel(self.device) and ended():
-                    return
+        `alone` gives the step as one thread takes it for all.
+        """
+        left = list(sizes)
+        while left:
+            crowded = self._pool is not None and self.crowding.look()
+            count = 1 if self._pool is not None and (crowded or self.crowding.on_trial) else len(left)
+            now, left = left[:count], left[count:]
+            for size in set(now):
+                if (size, crowded) not in self._graphs:
+                    self._graphs[size, crowded] = self._capture(alone() if crowded else step, size)
+            begun = time.perf_counter()
+            parts = range(1 if crowded else self.threads)
+            self._together([functools.partial(self._run, part, now, crowded, ended) for part in parts])
+            if self._pool is not None and not crowded:
+                self.crowding.stepped(time.perf_counter() - begun)
+            if left and not parallel(self.device) and ended():
+                return
 
-        self._together([lambda part=part: run(part) for part in range(self.threads)])
+    def _run(self, part: int, sizes: list[int], crowded: bool, ended: Callable[[], bool]) -> None:
+        if not crowded:
+            self.crowding.enter()
+        for size in sizes:
+            wp.capture_launch(self._graphs[size, crowded][part])
+            # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
+            if not parallel(self.device) and ended():
+                return
 
     def apart(self, stages: list[Stage]) -> None:
         """Launch stages that chunks have apart, each on a thread of its own."""

@@ -15,7 +15,7 @@ import warp as wp
 
 from ..core.device import parallel
 from ..core.errors import CapacityError, refuse
-from ..core.launching import Launcher, Size, Stage, graph_sizes, parameter_names
+from ..core.launching import Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
@@ -108,6 +108,7 @@ class Batch:
         self._join_models()
         self._place_pairs()
         self._launcher = Launcher(self.threads, self.device)
+        self.barrier = self._launcher.barrier
         self.version = 0
         """Of the recorded launches: another number means that arrays or chunks have changed."""
         self._chunks: tuple[int, ...] = ()
@@ -375,11 +376,15 @@ class Batch:
         self.device_changed()
         sizes = graph_sizes(count, LARGEST_GRAPH["cuda" if self.parallel else "cpu"])
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
-        self._launcher.replay(self._step, sizes, lambda: bool(flags[:, int(HALTED)].all()))
+        self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
         self.sync_bodies()
         flags = self.host_flags().copy()
         self._since_build += int(flags[0, int(STEPS)]) - before
         return flags
+
+    def _alone(self) -> Step:
+        assert self._step is not None
+        return by_one_thread(self._step)
 
     def lists_built(self) -> None:
         """Lists are new."""

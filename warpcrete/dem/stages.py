@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ..core.launching import Stage, barrier_stage
+from ..core.launching import Stage
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
@@ -23,7 +23,7 @@ def tasks(batch: Batch, bodies: int) -> int:
 def step_stages(batch: Batch) -> list[list[Stage]]:
     """Stages of one step on the arrays that the batch holds now, a list for each thread."""
     b, f = batch, batch.features
-    meet = barrier_stage(b.threads, b.device)
+    meet = b.barrier()
     step = []
     chunks = zip(pairwise(b.sphere_chunks.tolist()), pairwise(b.body_chunks.tolist()))
     for part, (spheres, bodies) in enumerate(chunks):

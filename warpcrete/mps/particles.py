@@ -14,14 +14,13 @@ import warp as wp
 from ..core.device import MEMORY_FRACTION, default_threads, memory_free, parallel
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
 from ..core.launching import Launcher, Size, Stage, Step, graph_sizes, launch, parameter_names
-from ..kernels.common.barrier import GATE
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE, STEPS
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME
 from ..kernels.mps.lists import list_kernels
 from ..kernels.mps.paper_scheme import LAPLACIAN
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
-from .stages import step_stages
+from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 
 SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
@@ -65,7 +64,7 @@ class MovingParticles:
         self._launcher = Launcher(self.threads, self.device)
         self.flags, self.particles, self.grains = state.flags, state.particles, state.grain_arrays
         self.blocks = -(-self.count // BLOCK)
-        self.gate = wp.zeros(GATE, dtype=wp.int32, device=self.device)
+        self.gate, self.barrier = self._launcher.gate, self._launcher.barrier
         self.fields = self._fields()
         self.matrix = self._matrix()
         self.viscous = self._solve(self.structs.VectorSolve)
@@ -208,6 +207,9 @@ class MovingParticles:
             self._step = step_stages(self)
         return self._step
 
+    def _alone(self) -> Step:
+        return step_by_one_thread(self)
+
     def take(self, steps: int) -> None:
         """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
         goal = self.steps + steps
@@ -215,7 +217,7 @@ class MovingParticles:
             count = goal - self.steps
             largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
             sizes = graph_sizes(min(count, LAUNCH * largest), largest)
-            self._launcher.replay(self.step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+            self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
             flags = self.flags.numpy()
             self.steps = int(flags[int(STEPS)])
             self.time = self.steps * self.scene.time_step

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..core.launching import Loop, Stage, Step, barrier_stage
+from ..core.launching import Loop, Stage, Step
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
 from ..kernels.mps.conjugate_gradient import parallel_iteration, parallel_start, serial_solver
@@ -37,19 +37,22 @@ def step_stages(particles: Any) -> Step:
     return [part.step() for part in step_parts(particles)]
 
 
+def step_by_one_thread(particles: Any) -> Step:
+    """The same as one thread takes it for all, chunk by chunk."""
+    return [StepPart(particles, range(particles.threads), []).step()]
+
+
 def step_parts(particles: Any) -> list[StepPart]:
     """What each thread does in a step."""
-    p = particles
-    meet = barrier_stage(p.threads, p.device)
-    rows = [p.count * k // p.threads for k in range(p.threads + 1)]
-    return [StepPart(p, k, rows[k], rows[k + 1], meet) for k in range(p.threads)]
+    meet = particles.barrier()
+    return [StepPart(particles, range(part, part + 1), meet) for part in range(particles.threads)]
 
 
 class StepPart:
-    """What one thread does in a step: rows `first` to `end`, and what only the first part does for all."""
+    """What one thread does in a step: the rows of its `parts`, and with the first part what is done once for all."""
 
-    def __init__(self, particles: Any, part: int, first: int, end: int, meet: list[Stage]) -> None:
-        self.p, self.part, self.first, self.end, self.meet = particles, part, first, end, meet
+    def __init__(self, particles: Any, parts: range, meet: list[Stage]) -> None:
+        self.p, self.parts, self.meet = particles, parts, meet
         self.scene, self.dimensions = particles.scene, particles.scene.dimensions
         self.serial = not particles.parallel
         self.two_phase = particles.grains is not None
@@ -86,13 +89,17 @@ class StepPart:
     # Launches.
 
     def each(self, kernel: Any, **named: Any) -> list[Stage]:
-        """A kernel over the part's rows; then all wait."""
-        tasks = -(-(self.end - self.first) // span(self.serial))
-        return [self.p.stage(kernel, tasks, first=self.first, end=self.end, **named), *self.meet]
+        """A kernel over the rows of each part; then all wait."""
+        p, found = self.p, []
+        for part in self.parts:
+            first, end = p.count * part // p.threads, p.count * (part + 1) // p.threads
+            tasks = -(-(end - first) // span(self.serial))
+            found.append(p.stage(kernel, tasks, first=first, end=end, **named))
+        return [*found, *self.meet]
 
     def alone(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
         """A kernel that the first part runs for all; then all wait."""
-        return [*([self.p.stage(kernel, tasks, **named)] if self.part == 0 else []), *self.meet]
+        return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.meet]
 
     def in_blocks(self, kernel: Any, blocks: int | None = None, **named: Any) -> Stage:
         """A kernel in whole blocks of a GPU, over all rows unless a number of blocks is given."""
@@ -177,8 +184,9 @@ class StepPart:
         kind = p.scalar, self.dimensions, what == VISCOSITY
         goal = {"tolerance": tolerance, "absolute_tolerance": absolute}
         if self.serial:
-            chunk = {"part": self.part, "parts": p.threads, "first": self.first, "end": self.end}
-            return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunk)]
+            lower, upper = self.parts.start, self.parts.stop
+            chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
+            return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
         body = []

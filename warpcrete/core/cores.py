@@ -1,0 +1,69 @@
+"""Whether threads that wait for one another many times a step have a core each, on a machine that others use too.
+
+Where another process wants a core, the thread that shares it is late at every barrier by a slice of the scheduler,
+milliseconds, and all wait for it. Then one thread had better do the work of all, chunk by chunk: what it computes is
+the same.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+WINDOW = 0.01
+"""Time of stepping [s] from one look at the threads to the next."""
+LATE = 0.4
+"""Part of that time that threads may wait for a core."""
+HOLD = 0.5, 8.0
+"""Shortest and longest time [s] that one thread does the work of all before they are tried again."""
+
+
+def waited(thread: int) -> float:
+    """Time that a thread of this process was ready to run and had no core [s]; 0 where the system does not say."""
+    try:
+        return 1e-9 * int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+class Crowding:
+    """Watches threads, and says whether they had better be one."""
+
+    def __init__(self) -> None:
+        self.crowded = False
+        self._threads: set[int] = set()
+        self._stepped = self._late = 0.0
+        self._until = 0.0
+        self._hold = HOLD[0]
+        self._sure = False
+
+    def enter(self) -> None:
+        """To be called by each thread when it sets out."""
+        self._threads.add(threading.get_native_id())
+
+    @property
+    def on_trial(self) -> bool:
+        """Nobody knows yet whether there are cores enough: the next steps had better be few."""
+        return not self.crowded and not self._sure
+
+    def look(self) -> bool:
+        """Whether one thread is to do the next steps of all."""
+        if self.crowded and time.monotonic() > self._until:
+            self.crowded = self._sure = False
+            self._stepped, self._late = 0.0, sum(map(waited, self._threads))
+        return self.crowded
+
+    def stepped(self, seconds: float) -> None:
+        """So much time was spent on steps by all threads; none of them runs now."""
+        self._stepped += seconds
+        if self._stepped < WINDOW:
+            return
+        late = sum(map(waited, self._threads))
+        if late - self._late > LATE * self._stepped:
+            self.crowded = True
+            self._until = time.monotonic() + self._hold
+            self._hold = min(2 * self._hold, HOLD[1])  # each time in vain the next try is later
+        else:
+            self._sure, self._hold = True, HOLD[0]
+        self._stepped, self._late = 0.0, late
