@@ -365,8 +365,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float) -> np.ndarray
     """Centres of two layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
-    if (radius / ball) ** 2 > 1e5:
-        refuse("plug_ball", ball, f"would take {2 * math.pi * (radius / ball) ** 2:.2g} balls to plug the pipe",
+    if radius / ball > 1e5**0.5:
+        refuse("plug_ball", ball, f"would take {2 * math.pi * np.square(radius / ball):.2g} balls to plug the pipe",
                "use larger balls, a plate or none")  # fmt: skip
     local = []
     for layer in range(2):
