@@ -71,7 +71,7 @@ def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
 
 def test_an_interrupted_flow_goes_on(tmp_path):
     out, whole = tmp_path / "cut", tmp_path / "whole"
-    options = ["run", "channel", "--spacing", "5e-3", "--duration", "0.3", "--checkpoint-every", "0.01", "--device",
+    options = ["run", "channel", "--spacing", "5e-3", "--duration", "0.15", "--checkpoint-every", "0.01", "--device",
                "cpu", "--threads", "1", "--quiet"]  # fmt: skip
     run = subprocess.Popen([*COMMAND, *options, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     series = out / "series.csv"
