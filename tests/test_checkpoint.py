@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from test_pipe import SMALL, command, small_options
+from pumping import SMALL, command, small_options
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_pipe import SMALL
+from pumping import SMALL
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer

@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
+from pumping import command
 from test_batch import SMALL
-from test_pipe import command
 
 from warpcrete import scenes
 from warpcrete.core.errors import RunFolderError, SceneError

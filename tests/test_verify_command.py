@@ -2,7 +2,7 @@
 
 import math
 
-from test_pipe import command
+from pumping import command
 
 from warpcrete.verification import Case, Row, cases, summary, table
 

@@ -334,7 +334,7 @@ def test_spheres_on_a_spinning_mesh_go_as_on_a_spinning_plane(start, precision):
         state = stepper.state
         sums = [getattr(state.walls, name).numpy()[0] for name in ("impulse", "angular_impulse", "work")]
         ends.append([by_id(state, name).astype(float) for name in ("position", "velocity", "spin")] + sums)
-    tolerance = 1e-9 if precision == "float64" else 2e-4
+    tolerance = 1e-12 if precision == "float64" else 2e-6  # measured 2e-14 and 5e-7
     for plane, mesh in zip(*ends):
         assert mesh == pytest.approx(plane, abs=tolerance * np.abs(plane).max())
     moved = ends[0][0] - np.array(places)
@@ -365,4 +365,4 @@ def test_what_a_contact_with_a_wall_remembers_turns_with_both(start, mesh):
     history.assign(value)
     quarter = round(math.pi / 2 / (0.5 * (spin + table)) / stepper.dt)
     stepper.take(quarter)
-    assert stepper.state.slots.history.numpy()[0, place] == pytest.approx([0.0, tiny, 0.0], abs=2e-3 * tiny)
+    assert stepper.state.slots.history.numpy()[0, place] == pytest.approx([0.0, tiny, 0.0], abs=5e-4 * tiny)  # measured 2e-4, half a step
