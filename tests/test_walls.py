@@ -365,4 +365,5 @@ def test_what_a_contact_with_a_wall_remembers_turns_with_both(start, mesh):
     history.assign(value)
     quarter = round(math.pi / 2 / (0.5 * (spin + table)) / stepper.dt)
     stepper.take(quarter)
-    assert stepper.state.slots.history.numpy()[0, place] == pytest.approx([0.0, tiny, 0.0], abs=5e-4 * tiny)  # measured 2e-4, half a step
+    # Measured 2e-4, half a step.
+    assert stepper.state.slots.history.numpy()[0, place] == pytest.approx([0.0, tiny, 0.0], abs=5e-4 * tiny)

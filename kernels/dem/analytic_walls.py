@@ -40,14 +40,14 @@ def wall_force_function(scalar):
 def surface_touch_function(scalar):
     """`surface_touch`: the touch of a sphere with a wall `gap` away along `n`, and the point where it is."""
     t = types(scalar)
-    Walls = array_structs(scalar).Walls
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
 
     @wp.func
     def surface_touch(
-        walls: Walls,
-        w: wp.int32,
+        position: t.vec3,
+        wall_velocity: t.vec3,
+        wall_spin: t.vec3,
         n: t.vec3,
         gap: scalar,
         x: t.vec3,
@@ -58,9 +58,9 @@ def surface_touch_function(scalar):
     ):
         arm = radius + gap
         point = x + arm * n
-        surface = walls.velocity[w] + wp.cross(walls.spin[w], point - walls.position[w])
+        surface = wall_velocity + wp.cross(wall_spin, point - position)
         relative = surface - xyz(velocity) - wp.cross(spin, arm * n)
-        twist = scalar(0.5) * dt * wp.dot(spin + walls.spin[w], n)
+        twist = scalar(0.5) * dt * wp.dot(spin + wall_spin, n)
         return wall_touch(n, gap, relative, twist, radius, velocity[3]), point
 
     return surface_touch
@@ -128,7 +128,18 @@ def analytic_wall_functions(scalar, law, dissipation: bool):
                 nearest = wp.min(nearest, gap + radius)
             if gap < scalar(0.0):
                 n = into_wall(walls.table[w], direction)  # from the sphere into the wall
-                touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
+                touch, point = surface_touch(
+                    walls.position[w],
+                    walls.velocity[w],
+                    walls.spin[w],
+                    n,
+                    gap,
+                    x,
+                    radius,
+                    velocity,
+                    spheres.spin[i],
+                    dt,
+                )
                 f, new_history, lost = contact_force(
                     parameters[row + walls.table[w].material], touch, slots.history[i, slot], dt
                 )

@@ -5,28 +5,44 @@ Mesh contact keeps a candidate only where its closest point is a local minimum o
 no edge that meets there may. That leaves one contact on any triangulated plane and on convex edges and
 corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
 minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
+
+The kernel takes the arrays of walls and slots one by one, and looks for an old contact's history in its own loop: with
+structs of them, or with a function for that, CUDA's compiler unrolls loops otherwise and the kernel takes 5 % longer.
 """
 
 import functools
 import math
+from types import SimpleNamespace
 
 import warp as wp
 
 from ..common.control import HALTED, OVERFLOW, STALE
 from ..common.geometry import triangle_functions
 from ..common.types import SPAN, types, vector_functions
+from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
+Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
 
 @functools.cache
-def minimum_function(scalar):
-    """`is_local_minimum`: whether a closest point is one of the distance to the whole surface, too."""
+def surface_functions(scalar) -> SimpleNamespace:
+    """The closest point of a face, whether that is one of the whole surface, and the normal into the wall there."""
     t = types(scalar)
+    Wall = wall_struct(scalar)
+    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+    safe_normalize = vector_functions(scalar).safe_normalize
+
+    @wp.func
+    def closest_on_face(p: t.vec3, face: wp.int32, corners: wp.array(dtype=t.vec3), faces: wp.array2d(dtype=wp.int32)):
+        point, feature = closest_on_triangle(
+            p, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+        )
+        return point, feature
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
@@ -35,10 +51,10 @@ def minimum_function(scalar):
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
-    def is_local_minimum(
+    def is_minimum(
         feature: wp.int32,
         face: wp.int32,
-        first_face: wp.int32,
+        wall: Wall,
         offset: t.vec3,
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
@@ -64,145 +80,159 @@ def minimum_function(scalar):
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
-        if lowest != face - first_face:
+        if lowest != face - wall.first_face:
             return False  # the lowest face of the ring reports this corner
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):
                 return False
         return True
 
-    return is_local_minimum
-
-
-@functools.cache
-def face_function(scalar):
-    """`touch_of_face`: whether a sphere touches a surface on one of its faces, the normal into the wall, the gap."""
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Slots, Walls = structs.Slots, structs.Walls
-    is_local_minimum = minimum_function(scalar)
-    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
-    safe_normalize = vector_functions(scalar).safe_normalize
-
     @wp.func
-    def side_before(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
-        """Cosine between a normal and that of the contact before, on the same wall, that is most nearly along it."""
-        side = scalar(0.0)
-        for s in range(MESH_SLOTS):
-            if slots.wall[i, analytic + s] == wall:
-                c = wp.dot(slots.normal[i, analytic + s], n)
-                if wp.abs(c) > wp.abs(side):
-                    side = c
-        return side
-
-    @wp.func
-    def touch_of_face(
-        i: wp.int32,
+    def normal_of(
+        offset: t.vec3,
         face: wp.int32,
-        w: wp.int32,
-        first_wall: wp.int32,
-        analytic: wp.int32,
-        x: t.vec3,
-        radius: scalar,
+        orientation: t.quat,
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
-        across: wp.array2d(dtype=wp.int32),
-        ring_start: wp.array(dtype=wp.int32),
-        ring: wp.array(dtype=wp.int32),
-        slots: Slots,
-        walls: Walls,
     ):
-        n = t.vec3()
-        gap = scalar(0.0)
-        touches = wp.bool(False)
-        orientation = walls.orientation[w]
-        local = wp.quat_rotate_inv(orientation, x - walls.position[w])
-        point, feature = closest_on_triangle(
-            local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-        )
-        offset = local - point
-        distance = wp.length(offset)
-        if distance < radius:
-            first_face = walls.table[w].first_face
-            if is_local_minimum(feature, face, first_face, offset, corners, faces, across, ring_start, ring):
-                touches = wp.bool(True)
-                a = corners[faces[face, 0]]
-                plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
-                n = -safe_normalize(offset, -wp.normalize(plain))
-                n = wp.quat_rotate(orientation, n)
-                gap = distance - radius
-                # A centre pushed through the surface: the side it touched before is the inside.
-                if side_before(slots, i, analytic, w - first_wall, n) < scalar(-0.7):
-                    n = -n
-                    gap = -distance - radius
-        return touches, n, gap
+        """Against the offset, or against the face's own normal where the centre lies on the face."""
+        a = corners[faces[face, 0]]
+        plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
+        n = -safe_normalize(offset, -wp.normalize(plain))
+        return wp.quat_rotate(orientation, n)
 
-    return touch_of_face
+    return SimpleNamespace(closest_on_face=closest_on_face, is_minimum=is_minimum, normal_of=normal_of)
 
 
 @functools.cache
-def history_function(scalar):
-    """`history_of`: that of the old contact of sphere i with a wall whose normal is nearest to `n`."""
+def merging_functions(scalar) -> SimpleNamespace:
+    """Functions that tell contacts of one sphere apart, and one step's from the next's."""
     t = types(scalar)
-    Slots = array_structs(scalar).Slots
+    Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)
 
     @wp.func
-    def history_of(slots: Slots, i: wp.int32, analytic: wp.int32, wall: wp.int32, n: t.vec3):
-        history = t.vec3()
-        best = scalar(wp.static(MERGE_COSINE))
-        for o in range(MESH_SLOTS):
-            if slots.wall[i, analytic + o] == wall:
-                c = wp.dot(slots.normal[i, analytic + o], n)
-                if c > best:
-                    best = c
-                    history = slots.history[i, analytic + o]
-        return history
+    def surface_found(normals: Vectors, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3):
+        """Which of the contacts `found` is with the surface that has this normal; -1 for none."""
+        place = wp.int32(-1)
+        for s in range(found):
+            if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(MERGE_COSINE)):
+                place = s
+        return place
 
-    return history_of
+    @wp.func
+    def on_side_before(
+        i: wp.int32,
+        first: wp.int32,
+        wall: wp.int32,
+        n: t.vec3,
+        distance: scalar,
+        radius: scalar,
+        slot_wall: wp.array2d(dtype=wp.int32),
+        slot_normal: wp.array2d(dtype=t.vec3),
+    ):
+        """Normal and gap; of a centre pushed through the surface, as seen from the side it touched before."""
+        gap = distance - radius
+        side = scalar(0.0)  # cosine to the normal before, on this wall, that is most nearly along n
+        for s in range(MESH_SLOTS):
+            if slot_wall[i, first + s] == wall:
+                c = wp.dot(slot_normal[i, first + s], n)
+                if wp.abs(c) > wp.abs(side):
+                    side = c
+        if side < scalar(-0.7):
+            n = -n
+            gap = -distance - radius
+        return n, gap
+
+    @wp.func
+    def keep_contacts(
+        i: wp.int32,
+        first: wp.int32,
+        first_wall: wp.int32,
+        found: wp.int32,
+        owners: Owners,
+        normals: Vectors,
+        gaps: Values,
+        histories: Vectors,
+        slot_wall: wp.array2d(dtype=wp.int32),
+        slot_normal: wp.array2d(dtype=t.vec3),
+        slot_overlap: wp.array2d(dtype=scalar),
+        slot_history: wp.array2d(dtype=t.vec3),
+    ):
+        """Write the contacts of this step to the slots from the `first` on, for the next step."""
+        for s in range(MESH_SLOTS):
+            if s < found:
+                slot_wall[i, first + s] = owners[s] - first_wall
+                slot_normal[i, first + s] = normals[s]
+                slot_overlap[i, first + s] = -gaps[s]
+                slot_history[i, first + s] = histories[s]
+            else:
+                slot_wall[i, first + s] = -1
+
+    return SimpleNamespace(
+        Vectors=Vectors,
+        Values=Values,
+        surface_found=surface_found,
+        on_side_before=on_side_before,
+        keep_contacts=keep_contacts,
+    )
+
+
+@functools.cache
+def mesh_parts(scalar, law) -> SimpleNamespace:
+    """What a mesh kernel is made of: types and functions of meshes, of merging, of walls, and of a contact law."""
+    structs, functions = array_structs(scalar), law.functions(scalar)
+    return SimpleNamespace(
+        **vars(surface_functions(scalar)),
+        **vars(merging_functions(scalar)),
+        Wall=wall_struct(scalar),
+        Scenes=structs.Scenes,
+        Spheres=structs.Spheres,
+        Candidates=structs.Candidates,
+        Parameters=functions.Parameters,
+        force=functions.force,
+        surface_touch=surface_touch_function(scalar),
+        add_to_wall=wall_force_function(scalar),
+        xyz=vector_functions(scalar).xyz,
+    )
 
 
 @functools.cache
 def mesh_kernel(scalar, law, half: bool, dissipation: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Candidates, Walls = (
-        structs.Scenes, structs.Spheres, structs.Slots, structs.Candidates, structs.Walls
-    )  # fmt: skip
-    functions = law.functions(scalar)
-    Parameters, contact_force = functions.Parameters, functions.force
-    touch_of_face = face_function(scalar)
-    history_of = history_function(scalar)
-    surface_touch = surface_touch_function(scalar)
-    xyz = vector_functions(scalar).xyz
-    add_to_wall = wall_force_function(scalar)
+    parts = mesh_parts(scalar, law)
     span = SPAN if half else 1
-    slots_matrix = wp.types.matrix((MESH_SLOTS, 3), scalar)
-    slots_vector = wp.types.vector(MESH_SLOTS, scalar)
-    slots_index = wp.types.vector(MESH_SLOTS, wp.int32)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # model
-        wall_parameters: wp.array(dtype=Parameters),
+        wall_parameters: wp.array(dtype=parts.Parameters),
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
         across: wp.array2d(dtype=wp.int32),
         ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32),
         face_wall: wp.array(dtype=wp.int32),
+        wall_table: wp.array(dtype=parts.Wall),
         # chunk
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         # state, read
-        scenes: Scenes,
-        candidates: Candidates,
+        scenes: parts.Scenes,
+        candidates: parts.Candidates,
+        wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat),
+        wall_velocity: wp.array(dtype=t.vec3),
+        wall_spin: wp.array(dtype=t.vec3),
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
-        spheres: Spheres,
-        slots: Slots,
-        walls: Walls,
+        spheres: parts.Spheres,
+        slot_wall: wp.array2d(dtype=wp.int32),
+        slot_normal: wp.array2d(dtype=t.vec3),
+        slot_overlap: wp.array2d(dtype=scalar),
+        slot_history: wp.array2d(dtype=t.vec3),
+        wall_step_force: wp.array3d(dtype=wp.int64),
     ):
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
@@ -215,64 +245,71 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool):
                 continue
             dt = scalar(scenes.clock[scene, DT_PREVIOUS])
             scale = scenes.clock[scene, FORCE_SCALE]
-            wall_base = scenes.row[scene].walls
+            first_wall = scenes.row[scene].walls
             analytic = scenes.row[scene].analytic
-            position = spheres.position[i]
-            x = xyz(position)
-            radius = position[3]
+            x = parts.xyz(spheres.position[i])
+            radius = spheres.position[i][3]
             velocity = spheres.velocity[i]
+            spin = spheres.spin[i]
             row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
             total_force = t.vec3()
             total_moment = t.vec3()
             total_lost = wp.float64(0.0)
-            # One contact for each surface that the sphere touches.
             found = wp.int32(0)
-            normals = slots_matrix()
-            gaps = slots_vector()
-            owners = slots_index()
+            normals = parts.Vectors()
+            gaps = parts.Values()
+            owners = Owners()
             for k in range(begin, end):
                 face = candidates.face[k]
                 w = face_wall[face]
-                touches, n, gap = touch_of_face(
-                    i, face, w, wall_base, analytic, x, radius, corners, faces, across, ring_start, ring, slots, walls
-                )
-                if touches:
-                    place = wp.int32(-1)
-                    for s in range(found):
-                        if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(MERGE_COSINE)):
-                            place = s
-                    if place < 0:
-                        if found < MESH_SLOTS:
-                            normals[found] = n
-                            gaps[found] = gap
-                            owners[found] = w
-                            found += 1
-                        else:
-                            flags[scene, OVERFLOW] = 1
-                    elif gap < gaps[place]:
-                        normals[place] = n
-                        gaps[place] = gap
-            histories = slots_matrix()
+                local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
+                nearest, feature = parts.closest_on_face(local, face, corners, faces)
+                offset = local - nearest
+                distance = wp.length(offset)
+                if distance < radius:
+                    if parts.is_minimum(feature, face, wall_table[w], offset, corners, faces, across, ring_start, ring):
+                        n = parts.normal_of(offset, face, wall_orientation[w], corners, faces)
+                        n, gap = parts.on_side_before(
+                            i, analytic, w - first_wall, n, distance, radius, slot_wall, slot_normal
+                        )
+                        place = parts.surface_found(normals, owners, found, w, n)
+                        if place < 0:
+                            if found < MESH_SLOTS:
+                                normals[found] = n
+                                gaps[found] = gap
+                                owners[found] = w
+                                found += 1
+                            else:
+                                flags[scene, OVERFLOW] = 1
+                        elif gap < gaps[place]:
+                            normals[place] = n
+                            gaps[place] = gap
+            histories = parts.Vectors()
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
-                gap = gaps[s]
-                history = history_of(slots, i, analytic, w - wall_base, n)
-                touch, point = surface_touch(walls, w, n, gap, x, radius, velocity, spheres.spin[i], dt)
-                f, new_history, lost = contact_force(wall_parameters[row + walls.table[w].material], touch, history, dt)
+                # History belongs to the old contact on this wall with the nearest normal.
+                history = t.vec3()
+                best = scalar(wp.static(MERGE_COSINE))
+                for o in range(MESH_SLOTS):
+                    if slot_wall[i, analytic + o] == w - first_wall:
+                        c = wp.dot(slot_normal[i, analytic + o], n)
+                        if c > best:
+                            best = c
+                            history = slot_history[i, analytic + o]
+                touch, point = parts.surface_touch(
+                    wall_position[w], wall_velocity[w], wall_spin[w], n, gaps[s], x, radius, velocity, spin, dt
+                )
+                f, new_history, lost = parts.force(wall_parameters[row + wall_table[w].material], touch, history, dt)
                 histories[s] = new_history
                 total_lost += wp.float64(lost)
                 total_force += f
-                total_moment += wp.cross((radius + gap) * n, f)
-                add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
-            for s in range(MESH_SLOTS):
-                if s < found:
-                    slots.wall[i, analytic + s] = owners[s] - wall_base
-                    slots.normal[i, analytic + s] = normals[s]
-                    slots.overlap[i, analytic + s] = -gaps[s]
-                    slots.history[i, analytic + s] = histories[s]
-                else:
-                    slots.wall[i, analytic + s] = -1
+                total_moment += wp.cross((radius + gaps[s]) * n, f)
+                parts.add_to_wall(wall_step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
+            parts.keep_contacts(
+                i, analytic, first_wall, found, owners, normals, gaps, histories, slot_wall, slot_normal, slot_overlap,
+                slot_history,
+            )  # fmt: skip
             spheres.force[i] = spheres.force[i] + total_force
             spheres.moment[i] = spheres.moment[i] + total_moment
             if wp.static(dissipation):
@@ -288,7 +325,7 @@ def candidate_kernels(scalar):
     structs = array_structs(scalar)
     Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
     xyz = vector_functions(scalar).xyz
-    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
+    closest_on_face = surface_functions(scalar).closest_on_face
 
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
@@ -324,9 +361,7 @@ def candidate_kernels(scalar):
                 local_face = wp.int32(0)
                 while wp.mesh_query_aabb_next(query, local_face):
                     face = walls.table[w].first_face + local_face
-                    point, feature = closest_on_triangle(
-                        local, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-                    )
+                    point, feature = closest_on_face(local, face, corners, faces)
                     if wp.length(local - point) <= reach:
                         if wp.static(fill):
                             candidates.face[place + found] = face

@@ -58,7 +58,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
+    Lists, Fields = structs.Lists, structs.Fields
     place = row_place(serial)
     last = dimensions - 1
 
@@ -78,25 +78,34 @@ def moments_function(scalar, dimensions: int, serial: bool):
         inside: scalar  # distance from the wall [m]
 
     @wp.func
-    def moments(i: wp.int32, flow: Flow, particles: Particles, lists: Lists, fields: Fields):
+    def moments(
+        i: wp.int32,
+        flow: Flow,
+        position: wp.array(dtype=t.vec),
+        velocity: wp.array(dtype=t.vec),
+        pressure: wp.array(dtype=scalar),
+        lists: Lists,
+        fields: Fields,
+    ):
         m = Moments()
-        x = particles.position[i]
-        v = particles.velocity[i]
-        p = particles.pressure[i]
+        shortest = scalar(1.0e-3) * flow.spacing  # as `distance` has it; calling that, CUDA's compiler adds otherwise
+        x = position[i]
+        v = velocity[i]
+        p = pressure[i]
         m.dense = scalar(1.0)
         for k in range(lists.near_count[i]):
             at = place(i, k, flow.count, lists.near_capacity)
             j = lists.near[at]
-            d = particles.position[j] - x
-            r = f.distance(flow, d)
+            d = position[j] - x
+            r = wp.max(wp.length(d), shortest)
             m.dense = m.dense + f.density_weight(r, flow.wide)
             if r < flow.cutoff:
                 w = f.weight(r, flow.cutoff)
                 m.number = m.number + w
                 m.fluid = m.fluid + wp.outer(w * d, d)
-                m.shear = m.shear + wp.outer(w * (particles.velocity[j] - v), d)
+                m.shear = m.shear + wp.outer(w * (velocity[j] - v), d)
                 m.first = m.first + w * d
-                dp = particles.pressure[j] - p
+                dp = pressure[j] - p
                 m.rise = m.rise + w * dp
                 m.slope = m.slope + (w * dp) * d
                 fields.pair_weight[at] = w / (r * r)
@@ -104,7 +113,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 fields.pair_weight[at] = scalar(0.0)
         for k in range(lists.far_count[i]):
             j = lists.far[place(i, k, flow.count, lists.far_capacity)]
-            m.dense = m.dense + f.density_weight(wp.length(particles.position[j] - x), flow.wide)
+            m.dense = m.dense + f.density_weight(wp.length(position[j] - x), flow.wide)
         m.whole_number = m.number
         m.whole = m.fluid
         m.above = m.first[last]
@@ -112,7 +121,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         for k in range(lists.wall_count[i]):
             y = lists.wall_position[lists.wall[place(i, k, flow.count, lists.wall_capacity)]]
             d = y - x
-            r = f.distance(flow, d)
+            r = wp.max(wp.length(d), shortest)
             m.dense = m.dense + f.density_weight(r, flow.wide)
             if r < flow.cutoff:
                 w = f.weight(r, flow.cutoff)
@@ -131,12 +140,15 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
 @functools.cache
 def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Per particle: sums of weights, moment matrices, weights of the wall, apparent viscosity, predicted pressure."""
+    """Per particle: sums of weights, moment matrices, weights of the wall, apparent viscosity, predicted pressure.
+
+    Arrays of particles come one by one: with a struct of them CUDA's compiler forms other products in double precision.
+    """
+    t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
-    Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
-    Matrix, Solve = structs.Matrix, structs.NumberSolve
+    Lists, Fields, Matrix, Solve = structs.Lists, structs.Fields, structs.Matrix, structs.NumberSolve
     moments = moments_function(scalar, dimensions, serial).moments
     rheology = rheology_functions(scalar, dimensions)
     rate_of, apparent_viscosity = rheology.rate_of, rheology.apparent
@@ -150,7 +162,10 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         end: wp.int32,
         # state, read
         flags: wp.array(dtype=wp.int32),
-        particles: Particles,
+        particle_position: wp.array(dtype=t.vec),
+        particle_velocity: wp.array(dtype=t.vec),
+        particle_pressure: wp.array(dtype=scalar),
+        particle_group: wp.array(dtype=wp.int32),
         lists: Lists,
         # written; of the shift of particles, the residual is the density's error
         fields: Fields,
@@ -161,7 +176,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             return
         begin = first + wp.tid() * wp.static(span(serial))
         for i in range(begin, wp.min(begin + wp.static(span(serial)), end)):
-            m = moments(i, flow, particles, lists, fields)
+            m = moments(i, flow, particle_position, particle_velocity, particle_pressure, lists, fields)
             back = f.inverse(m.fluid)
             fields.fluid_inverse[i] = back
             fields.whole_inverse[i] = f.inverse(m.whole)
@@ -187,11 +202,11 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 fields.predicted[i] = scalar(0.0)
                 shifting.residual[i] = scalar(0.0)
             else:
-                fields.predicted[i] = particles.pressure[i] + forward
+                fields.predicted[i] = particle_pressure[i] + forward
 
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
-                if particles.group[i] >= 0:
+                if particle_group[i] >= 0:
                     apparent = flow.aggregate_viscosity
                     tangent = apparent
             fields.viscosity[i] = apparent

@@ -48,6 +48,17 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
     return [named[name] for name in names]
 
 
+def members(kernel: Any, **structs: Any) -> dict[str, Any]:
+    """Members of structs for those parameters of a kernel that are called ``STRUCT_member``, by parameter name."""
+    found = {}
+    for name in parameter_names(kernel):
+        for prefix, struct in structs.items():
+            member = name.removeprefix(f"{prefix}_")
+            if member != name and hasattr(struct, member):
+                found[name] = getattr(struct, member)
+    return found
+
+
 def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
     """Launch once, arguments by name."""
     if tasks_of(dim):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ..core.launching import Stage
+from ..core.launching import Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
@@ -53,7 +53,7 @@ def _contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
         stages.append(b.stage(wall_kernel(b.scalar, f.wall_law, f.dissipation), tasks(b, last - first), **chunk))
     if f.meshes:
         meshes = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
-        stages.append(b.stage(meshes, tasks(b, last - first), **chunk))
+        stages.append(b.stage(meshes, tasks(b, last - first), **chunk, **members(meshes, wall=b.walls, slot=b.slots)))
     return stages
 
 

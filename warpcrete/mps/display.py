@@ -41,15 +41,25 @@ class FlowDisplay(Display):
             x = np.insert(x, 1, 0.0, axis=1)
         return x
 
-    def colours(self) -> np.ndarray:
-        """RGB bytes of all particles, shape (n, 3)."""
+    def scale(self) -> tuple[str, float, float] | None:
+        """What colours show, as read, with its lowest and highest value; None for colours of things."""
         scene, theory = self.simulation.scene, self.simulation.flow.theory
-        snap = Snapshot.of(self.simulation.flow)
         if self.colouring == "pressure":
-            return on_palette(snap.pressure, theory.pressure)
+            return "pressure [kPa]", 0.0, theory.pressure / 1e3
         if self.colouring == "speed":
             centre = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
-            return on_palette(snap.velocity, centre, theory.slip_velocity)
+            return "velocity [cm/s]", 100 * theory.slip_velocity, 100 * centre
+        return None
+
+    def colours(self) -> np.ndarray:
+        """RGB bytes of all particles, shape (n, 3)."""
+        snap = Snapshot.of(self.simulation.flow)
+        scale = self.scale()
+        if scale is not None:
+            _, lower, upper = scale
+            return on_palette(
+                snap.pressure / 1e3 if self.colouring == "pressure" else 100 * snap.velocity, upper, lower
+            )
         grains = self.simulation.state.grains
         coarse = np.zeros(len(snap.height), bool) if grains is None else grains.group >= 0
         shade = np.ones(len(coarse))

@@ -11,9 +11,13 @@ from ..core.units import number
 from .theory import velocity
 
 
-def plot_flow(run: Run, particles: tuple[np.ndarray, np.ndarray, float] | None = None) -> Any:
+def plot_flow(
+    run: Run,
+    particles: tuple[np.ndarray, np.ndarray, float] | None = None,
+    scale: tuple[str, float, float] | None = None,
+) -> Any:
     """Figure of pressure against time and velocity profiles, both beside theory; `particles` (places, RGB bytes,
-    spacing) are drawn beside them.
+    spacing) are drawn beside them, with the `scale` of their colours (what they show, its lowest and highest value).
     """
     from matplotlib.figure import Figure
 
@@ -25,7 +29,7 @@ def plot_flow(run: Run, particles: tuple[np.ndarray, np.ndarray, float] | None =
     for one in axes[:2]:
         one.spines[["top", "right"]].set_visible(False)
     if particles is not None:
-        _particles(axes[2], *particles)
+        _particles(axes[2], *particles, scale)
     return figure
 
 
@@ -61,11 +65,18 @@ def _profiles(axes: Any, run: Run) -> None:
     axes.legend(frameon=False, fontsize=8)
 
 
-def _particles(axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float) -> None:
+def _particles(
+    axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None
+) -> None:
+    """Cut through the middle: what lies nearer to the eye would hide the inside."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.collections import EllipseCollection
+    from matplotlib.colors import Normalize
 
+    behind = places[:, 1] > -0.25 * spacing
+    places, shades = 100 * places[behind], shades[behind]
     order = np.argsort(-places[:, 1])
-    width = np.full(len(places), spacing)
+    width = np.full(len(places), 100 * spacing)
     axes.add_collection(
         EllipseCollection(
             width,
@@ -78,8 +89,13 @@ def _particles(axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float
             edgecolors="none",
         )
     )
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+    axes.set(aspect="equal", xlabel="[cm]", ylabel="height [cm]")
     axes.autoscale_view()
+    reach = float(np.abs(places[:, 0]).max()) + 50 * spacing
+    axes.set_xticks([-reach, 0.0, reach], [f"{place:.3g}" for place in (-reach, 0.0, reach)])
+    if scale is not None:
+        label, lower, upper = scale
+        axes.figure.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, label=label)
 
 
 def draw(simulation: Any, run: Run, colouring: str) -> Any:
@@ -87,4 +103,5 @@ def draw(simulation: Any, run: Run, colouring: str) -> Any:
     if "profiles" not in run.result:
         return None
     display = simulation.display(colouring)
-    return plot_flow(run, (display.centres(), display.colours(), simulation.state.layout.spacing))
+    particles = display.centres(), display.colours(), simulation.state.layout.spacing
+    return plot_flow(run, particles, display.scale())

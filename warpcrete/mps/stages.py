@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..core.launching import Loop, Stage, Step
+from ..core.launching import Loop, Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
 from ..kernels.mps.conjugate_gradient import parallel_iteration, parallel_start, serial_solver
@@ -108,7 +108,8 @@ class StepPart:
     # Stages, in their order.
 
     def geometry(self) -> list[Any]:
-        return self.each(geometry_kernel(*self.kind, self.two_phase))
+        kernel = geometry_kernel(*self.kind, self.two_phase)
+        return self.each(kernel, **members(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
         """The factor that makes the wall's areas of all particles that of the wall."""
@@ -189,12 +190,13 @@ class StepPart:
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
+        arrays = [members(kernel, matrix=p.matrix, system=system) for kernel in (multiply, update, direct)]
         body = []
         for now in (0, 1) * (LOOPED // 2):
             body += [
-                self.in_blocks(multiply, system=system),
-                self.in_blocks(update, now=now, system=system, x=x),
-                self.in_blocks(direct, now=now, what=what, maximum=maximum, system=system),
+                self.in_blocks(multiply, **arrays[0]),
+                self.in_blocks(update, now=now, x=x, **arrays[1]),
+                self.in_blocks(direct, now=now, what=what, maximum=maximum, **arrays[2]),
             ]
         return [
             self.in_blocks(begin, system=system),

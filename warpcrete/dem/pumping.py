@@ -1,0 +1,214 @@
+"""What there is to choose in pumping aggregates through one pipe unit, in groups (Zhan et al. 2019)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ..core.device import PRECISIONS
+from ..core.errors import refuse
+from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from .laws.linear import DASHPOTS
+
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
+OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
+"""Letters of the paper, and words of earlier versions."""
+
+
+def of_meshes(shapes: str) -> bool:
+    """Shapes are paths of meshes, not words."""
+    return any(Path(one).suffix and not one.strip().startswith("shape-") for one in shapes.split(","))
+
+
+BONDED = Needs("bonds", bool, "is on")
+HYDRATED = Needs("hydration", lambda fraction: fraction > 0, "is above 0")
+FROM_FILE = Needs("wall", lambda wall: wall not in ("analytic", "mesh"), "is a file")
+FACETED = Needs("wall", lambda wall: wall == "mesh", "is mesh")
+OF_MESHES = Needs("shapes", of_meshes, "names meshes")
+SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
+NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
+RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
+PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitParameters:
+    """Pipe unit."""
+
+    unit: Annotated[
+        str, "vertical, horizontal, bend-to-horizontal (upward in), bend-to-vertical (horizontal in); or A, B, C, D"
+    ] = "vertical"
+    diameter: Annotated[float, "inner, of the pipe [m]", Above()] = 0.15
+    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above()] = 0.5
+    length: Annotated[float, "of the concrete in the pipe at the start [m]", Above()] = 1.0
+    wall: Annotated[str, "of the pipe: analytic, mesh, or the path of an STL file around the same axis"] = "analytic"
+    wall_scale: Annotated[float, "factor from the units of the wall file to metres", Above(), FROM_FILE] = 1.0
+    facets: Annotated[int, "round the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class PistonParameters:
+    """Piston."""
+
+    velocity: Annotated[float, "in the end [m/s]", Above(), Within(0, 1e3)] = 0.3
+    ramp: Annotated[float, "travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
+    travel: Annotated[
+        float | None,
+        "at the end [m]; default: twice the ramp, the length without one, in bends pi/2 x elbow_radius",
+        Above(),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregateParameters:
+    """Aggregate."""
+
+    shapes: Annotated[
+        str, "spheres, reference (four clumps), shape-F with shape factor F, or paths of closed meshes"
+    ] = "spheres"
+    shape_spheres: Annotated[int, "that cover each mesh of shapes", OF_MESHES] = 10
+    fractions: Annotated[
+        str | None, "by volume, of each shape, as '2,1,1,1'; default: equal", SEVERAL, Alias("shares")
+    ] = None
+    sizes: Annotated[str, "distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass"] = "gaussian"
+    size_min: Annotated[float, "smallest [m]", Above(), RANGED] = 5e-3
+    size_max: Annotated[float, "largest [m]", Above(), RANGED] = 20e-3
+    size_mean: Annotated[float | None, "of the gaussian [m]; default: middle of the range", Above(), NORMAL] = None
+    size_deviation: Annotated[
+        float | None, "standard deviation of the gaussian [m]; default: half the range", Above(), NORMAL
+    ] = None
+    density: Annotated[float, "[kg/m3]", Above()] = 2500.0
+    solid_fraction: Annotated[float | None, "of the packing; default: packed to the plug's pressure"] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactParameters:
+    """Contacts."""
+
+    modulus: Annotated[float, "effective, of contacts [Pa]", Above()] = 1e5
+    stiffness_ratio: Annotated[float, "normal over shear contact stiffness", Above()] = 2.0
+    friction: Annotated[float, "coefficient between aggregates", Within(0)] = 0.05
+    wall_friction: Annotated[float | None, "on the pipe and the piston; default: as friction", Within(0)] = None
+    layer_yield: Annotated[float, "yield stress of a lubrication layer on pipe and piston [Pa]", Within(0)] = 0.0
+    layer_viscosity: Annotated[float, "of that layer, over its thickness [Pa s/m]", Within(0)] = 0.0
+    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0)] = 0.5
+    shear_damping: Annotated[float, "shear dashpot, over the critical one", Within(0)] = 0.0
+    dashpot: Annotated[str, "mode: full, no-tension, slip-cut, both", OneOf(DASHPOTS)] = "full"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BondParameters:
+    """Bonds (mortar)."""
+
+    bonds: Annotated[bool, "bond the aggregates' contacts before pumping"] = True
+    bond_modulus: Annotated[float, "effective, of bonds [Pa]", Above(), BONDED] = 2e4
+    bond_stiffness_ratio: Annotated[float, "normal over shear bond stiffness", Above(), BONDED] = 2.0
+    tensile_strength: Annotated[float, "[Pa]", Within(0), BONDED] = 10.0
+    cohesion: Annotated[float, "[Pa]", Within(0), BONDED] = 5.0
+    friction_angle: Annotated[float, "[degrees]", Within(0, 89), BONDED] = 30.0
+    bond_gap: Annotated[float, "largest gap across which bonds are made [m]", Within(0), BONDED] = 0.0
+    healing: Annotated[bool, "new contacts bond when they touch", BONDED] = False
+    hydration: Annotated[float, "fraction of the bonds that is hydrated", Within(0, 1), BONDED] = 0.0
+    hydration_modulus: Annotated[float, "effective, of hydrated bonds [Pa]", Above(), HYDRATED] = 1e9
+    hydration_strength: Annotated[
+        float, "tensile, of hydrated bonds [Pa]; their cohesion is half of it", Within(0), HYDRATED
+    ] = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlugParameters:
+    """Plug, the front of the concrete."""
+
+    plug: Annotated[str, "balls (bonded), plate (straight pipes), none", OneOf(("balls", "plate", "none"))] = "balls"
+    plug_pressure: Annotated[float, "against the flow [Pa]", Within(0), PLUGGED] = 1e3
+    plug_ball: Annotated[float, "diameter of the balls, half the thickness of the plate [m]", Above(), PLUGGED] = 10e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunParameters(Declared):
+    """Run."""
+
+    gravity: Annotated[float, "[m/s2]", Within(-1e4, 1e4)] = 9.81
+    settle: Annotated[float, "longest time to settle under gravity and plug pressure before the start [s]",
+                      Within(0)] = 2.0  # fmt: skip
+    time_step: Annotated[float | None, "fixed [s]; default: automatic", Above()] = None
+    safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8
+    overlap_limit: Annotated[
+        float, "overlap at which the run stops, over that which swallows an aggregate; 0: no limit", Within(0)
+    ] = 1.5
+    energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False
+    precision: Annotated[str, "of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.01
+    seed: Annotated[int, "random seed", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipeParameters(
+    UnitParameters, PistonParameters, AggregateParameters, ContactParameters, BondParameters, PlugParameters,
+    RunParameters,
+):  # fmt: skip
+    """Concrete, one pipe unit, and what pumps it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        unit = OTHER_NAMES.get(self.unit.upper(), OTHER_NAMES.get(self.unit, self.unit))
+        OneOf(UNITS).check("unit", unit, "")
+        object.__setattr__(self, "unit", unit)
+        if self.wall not in ("analytic", "mesh"):
+            object.__setattr__(self, "wall", str(Path(self.wall).resolve()))
+        if of_meshes(self.shapes):
+            object.__setattr__(
+                self, "shapes", ",".join(str(Path(one.strip()).resolve()) for one in self.shapes.split(","))
+            )
+        if self.is_bend:
+            if self.elbow_radius <= self.radius:
+                refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")
+            if self.distance > self.arc * (1 + 1e-9):
+                refuse("travel", self.travel, f"must not exceed the bend's arc, {self.arc:.6g} m")
+            if self.plug == "plate":
+                refuse("plug", self.plug, "a plate cannot follow a bend", "use balls or none")
+
+    @property
+    def is_bend(self) -> bool:
+        return self.unit.startswith("bend")
+
+    @property
+    def radius(self) -> float:
+        """Of the pipe [m]."""
+        return self.diameter / 2
+
+    @property
+    def area(self) -> float:
+        """Of the pipe's cross-section [m2]."""
+        return math.pi * self.radius**2
+
+    @property
+    def arc(self) -> float:
+        """Length of a bend's centreline [m]."""
+        return math.pi / 2 * self.elbow_radius
+
+    @property
+    def distance(self) -> float:
+        """Travel of the piston [m]."""
+        if self.travel is not None:
+            return self.travel
+        return self.arc if self.is_bend else 2 * self.ramp if self.ramp > 0 else self.length
+
+    @property
+    def ramp_time(self) -> float:
+        """[s]"""
+        return 2 * self.ramp / self.velocity
+
+    @property
+    def duration(self) -> float:
+        """Of the piston's travel [s]."""
+        if self.distance <= self.ramp:
+            return math.sqrt(2 * self.distance * self.ramp_time / self.velocity)
+        return self.ramp_time + (self.distance - self.ramp) / self.velocity
+
+    @property
+    def front(self) -> float:
+        """Where the concrete and its plug end at the start [m]."""
+        return self.length + (2 * self.plug_ball if self.plug == "balls" else 0.0)
