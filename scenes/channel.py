@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from warpcrete.core.parameters import scene_function
-from warpcrete.mps.column import FlowParameters, check_flow, column_scene
+from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_trading
 from warpcrete.mps.scene import FluidScene
 
 PAPER = {"no1": {"pressure": 9.40e3, "slip_velocity": 0.186}}
@@ -22,3 +22,4 @@ def scene(parameters: FlowParameters) -> FluidScene:
 
 
 check = check_flow
+trading = flow_trading(2)

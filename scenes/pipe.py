@@ -13,13 +13,14 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 
 from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Trading
 from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
-from warpcrete.dem.pumping import PipeParameters
+from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
 from warpcrete.dem.scene import (
     AxisDrive,
     Bodies,
@@ -48,8 +49,6 @@ PUBLISHED = {
 
 FEWEST = 30
 """Aggregates that stand for concrete: fewer are so many stones."""
-WIDEST_STONE = 0.4
-"""Of the pipe's diameter, the largest rounded aggregate that is pumped (ACI 304.2R; a third if it is crushed)."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -142,6 +141,9 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
     return found
+
+
+trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:

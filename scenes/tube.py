@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.parameters import scene_function
-from warpcrete.mps.column import FlowParameters, check_flow, column_scene
+from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_trading
 from warpcrete.mps.scene import FluidScene
 
 
@@ -27,3 +27,4 @@ def scene(parameters: TubeParameters) -> FluidScene:
 
 
 check = check_flow
+trading = flow_trading(3)

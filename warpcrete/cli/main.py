@@ -188,6 +188,35 @@ def study_command(arguments: tuple[str, ...]) -> None:
     _part("study").run(list(arguments), _scenes())
 
 
+TRADE_HELP = """Speed against accuracy of a scene, measured: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
+
+Turns what costs accuracy in the scene (time step, precision, sizes, walls, spacing, ...), each alone, then together,
+and finds the cheapest settings for errors of 20 to 1 %, which it tries with fresh seeds. Runs are made one at a time.
+The folder holds trade.md, trade.csv, trade.json, trade.png and a run folder for each run.
+
+\b
+  --budget TIME          wall time, as 90s, 20min or 2h                                   [default: 20min]
+  --quantity NAME ...    of result.json, whose errors count                               [default: the scene's]
+  --knob NAME ...        only these, as 'time step'                                       [default: all of the scene]
+  --repeat N             seeds of each setting                                            [default: 3]
+  --out FOLDER           new folder                                                       [default: runs/trade-NNN]
+  --resume FOLDER        go on with a trade for another --budget: runs that are there are used
+  --device, --threads    as for run
+  --quiet                no progress bar
+
+Exits with 2 for bad input, with 130 if it was interrupted.
+"""
+
+
+@cli.command("trade", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=TRADE_HELP)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def trade_command(arguments: tuple[str, ...]) -> None:
+    if not arguments or "--help" in arguments:
+        click.echo(TRADE_HELP.replace("\b\n", ""))
+        raise SystemExit(0 if arguments else 2)
+    _part("trade").run(list(arguments), _scenes())
+
+
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
     try:

@@ -107,7 +107,7 @@ def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
         if values is not None:
             if len(values) != 1:
                 raise click.UsageError(f"--{name}: takes one value")
-            settings[name] = _converted(name, values[0], kind)
+            settings[name] = converted(name, values[0], kind)
     if settings.get("processes", 1) < 1:
         raise click.UsageError("--processes: must be 1 or more")
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
@@ -136,7 +136,7 @@ def _begun(
     if scene not in modules:
         raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
     module = modules[scene]
-    lists = _parameter_values(module, options)
+    lists = parameter_values(module, options)
     return run_study(
         scene,
         module,
@@ -163,7 +163,7 @@ def _fields(module: Any) -> dict[str, Field]:
     return found
 
 
-def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
+def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
     known = _fields(module)
     found: dict[str, list[Any]] = {}
     for option, words in options.items():
@@ -180,11 +180,11 @@ def _parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, l
             words = words or ["false" if negative else "true"]
         if not words:
             raise click.UsageError(f"--{option}: needs a value or several")
-        found[name] = [_converted(option, word, kind) for word in words]
+        found[name] = [converted(option, word, kind) for word in words]
     return found
 
 
-def _converted(name: str, word: str, kind: Any) -> Any:
+def converted(name: str, word: str, kind: Any) -> Any:
     if kind is bool:
         if word.lower() not in ("true", "false", "yes", "no", "1", "0"):
             raise click.UsageError(f"--{name} {word!r}: must be true or false")

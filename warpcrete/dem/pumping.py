@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from ..core.device import PRECISIONS
 from ..core.errors import refuse
+from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from .laws.linear import DASHPOTS
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Letters of the paper, and words of earlier versions."""
+WIDEST_STONE = 0.4
+"""Of the pipe's diameter, the largest rounded aggregate that is pumped (ACI 304.2R; a third if it is crushed)."""
 
 
 def of_meshes(shapes: str) -> bool:
@@ -212,3 +216,41 @@ class PipeParameters(
     def front(self) -> float:
         """Where the concrete and its plug end at the start [m]."""
         return self.length + (2 * self.plug_ball if self.plug == "balls" else 0.0)
+
+
+COARSENINGS = (3.0, 2.0, 1.5, 1.0)
+FACETS = (16, 32, 64, 128, 256)
+SPHERES = (1, 2, 4, 8, 16)
+
+
+def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
+    """What trades accuracy for time here, as far as the scene has it.
+
+    Coarse-graining multiplies all sizes of the aggregate. The laws need no scaling with it: a contact's stiffness is
+    modulus times area over length, so stress follows from relative overlap whatever the size; bonds' strengths and the
+    lubrication layer's are stresses; dashpots are given by their critical ratio. What does change is the number of
+    aggregates across the pipe, and impacts, which carry more at once.
+    """
+    if given.time_step is None:
+        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
+    yield precisions()
+    if given.sizes in ("gaussian", "uniform"):
+        widest = max(WIDEST_STONE * given.diameter / given.size_max, 1.0)
+        yield Knob("coarse-graining", tuple(_coarser(given, c) for c in COARSENINGS if c <= widest))
+    if given.shapes == "reference":
+        yield Knob("shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})))
+    elif of_meshes(given.shapes):
+        yield Knob("shape", tuple(Level(f"{n} spheres", {"shape_spheres": n}, n**0.7) for n in SPHERES))
+    if given.wall in ("analytic", "mesh"):
+        faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in FACETS]
+        yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
+    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa")
+    if given.settle > 0:
+        yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")
+
+
+def _coarser(given: PipeParameters, factor: float) -> Level:
+    names = ("size_min", "size_max", "size_mean", "size_deviation")
+    sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
+    # As the number of aggregates, and as the steps that larger ones need.
+    return Level(f"x {factor:g}", sizes, factor**-4)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
 
 from ..core.errors import positive, refuse
+from ..core.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.parameters import Above, Alias, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
@@ -16,6 +17,8 @@ from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, mortar_of
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
 from .theory import MIXES, Concrete, Line, flow_of_pressure
 
+FEWEST_ACROSS = 4
+"""Particles across a pipe, of the coarsest spacing that a trade tries."""
 FLOW = 1500e-6
 """Of the paper's reference case [m3/s]."""
 TWO_PHASES = Needs("aggregates", bool, "is on")
@@ -186,3 +189,28 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
             f"rms {100 * result['profile_error']:.2f} % of the mean velocity",
         )
     return found
+
+
+def flow_trading(dimensions: int) -> Trading:
+    """What trades accuracy for time in a flow."""
+    return Trading(
+        lambda given: _knobs(given, dimensions),
+        quantities=("pressure", "slip_velocity"),
+        closed_form=lambda given: not given.aggregates,
+    )
+
+
+def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:
+    spacings = [f for f in (4.0, 2.0, 1.0, 0.5) if f * given.spacing <= given.diameter / FEWEST_ACROSS]
+    yield scaled("spacing", "spacing", given.spacing, spacings, -(dimensions + 0.5), "m")
+    yield scaled("time step", "time_step", given.time_step, (4.0, 2.0, 1.0, 0.5), -0.7, "s")
+    tolerances = [f for f in (30.0, 10.0, 1.0, 0.1) if f * given.tolerance <= 0.5]
+    yield scaled("tolerance", "tolerance", given.tolerance, tolerances, -0.1)
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.03, 0.1, 0.3, 1.0, 3.0), 0.1, "s")
+    yield precisions()
+    if given.duration is None:
+        yield scaled("steadiness", "steadiness", given.steadiness, (30.0, 10.0, 1.0, 0.1), -0.2)
+    if given.aggregates:
+        yield Knob(
+            "phases", (Level("one phase", {"aggregates": False}, 0.7), Level("two phases", {"aggregates": True}))
+        )

@@ -55,7 +55,7 @@ def cases_of(
         for seed in range(first, first + repeat):
             seeds = {"seed": seed} if seeded and "seed" not in point else {}
             shown = point | (seeds if repeat > 1 or not point else {})
-            text = "-".join(f"{name}={_word(value)}" for name, value in shown.items())
+            text = "-".join(f"{name}={word_of(value)}" for name, value in shown.items())
             name = f"{len(cases) + 1:03d}-{text}"[:LONGEST_NAME]
             cases.append(Case(name, dict(point), {**base, **point, **seeds}))
     return cases
@@ -78,7 +78,7 @@ def _alone(
     return unique
 
 
-def _word(value: Any) -> str:
+def word_of(value: Any) -> str:
     """A value as part of a folder's name."""
     return "".join(
         c if c.isalnum() or c in ".+-" else "_" for c in (f"{value:g}" if isinstance(value, float) else str(value))

@@ -1,0 +1,215 @@
+"""Speed against accuracy: statistics, choices, and trades of small scenes."""
+
+import csv
+import importlib
+import json
+import math
+
+import numpy as np
+import pytest
+from pumping import command
+
+from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.units import number
+from warpcrete.methods import method_of
+from warpcrete.scenes import modules
+from warpcrete.studies.fronts import Error, cheapest_within, difference, front, student, worst
+from warpcrete.studies.trade import resume_trade, run_trade
+from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE
+
+channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
+COARSE = dict(spacing=0.02)
+PIPE = dict(
+    diameter=0.08, length=0.1, travel=0.02, ramp=0.01, settle=0.05, size_min=8e-3, size_max=16e-3, sample_interval=0.002
+)
+QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 120: 1.980}
+FURTHER = {"channel": {"aggregates": True}, "pipe": {"shapes": "reference", "wall": "mesh"}}
+
+
+def test_quantiles_of_student():
+    # Of published tables, to the digits that they have.
+    for freedom, quantile in QUANTILES.items():
+        assert student(freedom) == pytest.approx(quantile, abs=1.5e-3)
+
+
+def test_intervals_hold_the_true_difference_as_often_as_they_say():
+    random = np.random.default_rng(1)
+    held = []
+    for _ in range(4000):
+        a, b = random.normal(1.1, 0.02, 3), random.normal(1.0, 0.05, 4)
+        error = difference("x", a, b, size=1.0)
+        held.append(abs(error.shift - 0.1) <= error.interval)
+    assert 0.94 <= np.mean(held) <= 0.98  # Welch's interval is a little wide for so few
+
+
+def test_differences_without_randomness_are_exact_and_lone_runs_say_nothing_of_scatter():
+    assert difference("x", [1.1], [1.0]) == Error("x", pytest.approx(0.1), 0.0)
+    assert math.isnan(difference("x", [1.1], [1.0, 1.2]).interval)
+    assert not difference("x", [1.1], [1.0]).within_scatter
+    error = difference("x", [1.0, 1.1, 1.2], [1.0, 1.1, 1.2])
+    assert error.shift == 0 and error.interval == pytest.approx(4.303 * 0.1 / math.sqrt(3) / 1.1, rel=1e-3)
+    assert difference("x", [1.01, 1.11, 1.21], [1.0, 1.1, 1.2]).within_scatter
+    found = worst([Error("a", -0.2, 0.0), Error("b", 0.1, 0.15), Error("c", math.nan, 0.0)])
+    assert found is not None and found.quantity == "b"  # by what it is at most
+    assert worst([]) is None
+
+
+def test_the_front_is_what_nothing_beats():
+    points = [(3.0, 0.01), (1.0, 0.2), (2.0, 0.2), (2.5, 0.05), (2.6, 0.06), (4.0, 0.01)]
+    assert front(points) == [1, 3, 0]
+    assert front([]) == []
+
+
+def test_the_cheapest_levels_whose_errors_add_up_to_less():
+    knobs = {"a": [(0.1, 0.06), (0.5, 0.02), (1.0, 0.0)], "b": [(0.3, 0.04), (1.0, 0.0)]}
+    assert cheapest_within(knobs, 0.1) == {"a": 0, "b": 0}
+    assert cheapest_within(knobs, 0.06) == {"a": 0, "b": 1}  # 0.1 against 0.15
+    assert cheapest_within(knobs, 0.05) == {"a": 2, "b": 0}
+    assert cheapest_within(knobs, 0.0) == {"a": 2, "b": 1}
+    assert cheapest_within({"a": [(1.0, math.inf)]}, 0.5) is None
+
+
+@pytest.mark.parametrize("name", sorted(modules()))
+def test_every_level_of_every_knob_makes_another_scene(name):
+    module = modules()[name]
+    for base in ({}, FURTHER.get(name, {})):
+        given = module.scene.parameters(**base)
+        for knob in module.trading.knobs(given):
+            assert len(knob.levels) > 1 and len({level.label for level in knob.levels}) == len(knob.levels)
+            made = [module.scene(**module.scene.meaningful(base | dict(level.changes))) for level in knob.levels]
+            texts = [json.dumps(scene.parameters, sort_keys=True, default=str) for scene in made]
+            assert len(set(texts)) == len(texts), knob.name
+            own = json.dumps(module.scene(**base).parameters, sort_keys=True, default=str)
+            assert own in texts, f"{knob.name}: no level is the scene as given"
+        known = {each.name for each in method_of(module.scene(**base)).quantities}
+        assert set(module.trading.quantities) <= known
+
+
+@pytest.fixture(scope="module")
+def flow_trade(tmp_path_factory):
+    out = tmp_path_factory.mktemp("trade") / "channel"
+    return run_trade("channel", channel, base=COARSE, out=out, budget=300.0, device="cpu", threads=1,
+                     knobs=["time step", "regularisation"])  # fmt: skip
+
+
+def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
+    trade = flow_trade
+    assert trade.exact and trade.reference is None and not trade.has_seeds
+    assert [p.origin for p in trade.points[:1]] == [GIVEN]
+    assert {p.origin for p in trade.points} <= {GIVEN, "time step", "regularisation", COMBINED}
+    for point in trade.points:
+        result = point.results[0]
+        assert point.cost == pytest.approx(sum(number(result["speed"][k]) for k in ("packing_time", "wall_time")))
+        assert point.work == result["steps"] * result["particles"]
+        errors = {e.quantity: e.shift for e in point.errors}
+        assert errors == {name: result[f"{name}_error"] for name in ("pressure", "slip_velocity")}
+        assert point.worst.size == max(map(abs, errors.values()))
+    # What is promised is measured, and what its knobs err by alone.
+    for promise in trade.promises:
+        if promise.point is not None:
+            assert trade.promised(promise.point) <= promise.target
+            cheaper = [p for p in trade.measured if p.cost < promise.point.cost and not p.suspect]
+            assert all(trade.promised(p) > promise.target for p in cheaper)
+    assert trade.promises[0].point is not None
+
+
+def test_what_a_trade_writes(flow_trade):
+    folder = flow_trade.folder
+    assert {p.name for p in folder.iterdir()} == {"trade.json", "trade.md", "trade.csv", "trade.png", "runs"}
+    rows = list(csv.DictReader((folder / "trade.csv").open()))
+    assert len(rows) == len(flow_trade.points) and float(rows[0]["pressure_error"]) == flow_trade.given.errors[0].shift
+    text = (folder / "trade.md").read_text()
+    assert "against the closed form" in text and "time step 0.002 s" in text
+    record = json.loads((folder / "trade.json").read_text())
+    assert len(record["points"]) == len(flow_trade.points) and any(p["front"] for p in record["points"])
+
+
+def test_a_trade_that_is_started_again_uses_its_runs(flow_trade):
+    times = {path: path.stat().st_mtime_ns for path in flow_trade.folder.rglob("result.json")}
+    again = resume_trade(flow_trade.folder, channel, budget=60.0)
+    assert again.spent == 0.0 and len(again.points) == len(flow_trade.points)
+    assert {path: path.stat().st_mtime_ns for path in flow_trade.folder.rglob("result.json")} == times
+
+
+def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(device, tmp_path):
+    trade = run_trade("pipe", pipe, base=PIPE, out=tmp_path / "t", budget=600.0, device=device, threads=1, repeat=2,
+                      knobs=["time step", "coarse-graining"], quantities=["end_pressure"])  # fmt: skip
+    assert trade.seeds == [0, 1] and not trade.exact
+    finest = trade.reference
+    assert finest.origin == REFERENCE and finest.levels == {"time step": 4}
+    given, fine = (point.values("end_pressure", trade.seeds) for point in (trade.given, finest))
+    assert len(given) == len(fine) == 2 and given[0] != given[1] and fine[0] != fine[1]
+    expected = np.mean(given) / np.mean(fine) - 1
+    assert trade.given.errors[0].shift == pytest.approx(expected) and trade.given.errors[0].interval > 0
+    assert finest.errors[0].shift == 0 and finest.errors[0].interval > 0
+    # Coarser aggregate is cheaper, which no machine changes.
+    (coarse,) = [p for p in trade.points if p.levels == {"coarse-graining": 0}]
+    assert coarse.work < 0.5 * trade.given.work
+    # Promises are tried with seeds that no other run had.
+    tried = [promise for promise in trade.promises if promise.found is not None]
+    assert all({2, 3, 4} <= set(promise.point.results) for promise in tried)
+
+
+def test_a_budget_is_kept_and_what_it_left_out_is_said(tmp_path):
+    trade = run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=0.6, device="cpu", threads=1,
+                      knobs=["spacing"])  # fmt: skip
+    left_out = [p for p in trade.points if not p.results]
+    assert left_out and all(p.failure.startswith("not run: takes some") for p in left_out)
+    assert "not run" in (tmp_path / "t" / "trade.md").read_text()
+    again = resume_trade(tmp_path / "t", channel, budget=120.0)
+    assert all(p.results for p in again.points)
+
+
+@pytest.mark.parametrize(
+    "settings, match",
+    [
+        (dict(quantities=["presure"]), "quantity = 'presure': must be among"),
+        (dict(knobs=["spacings"]), "knob = 'spacings': must be among spacing"),
+        (dict(repeat=2), "repeat = 2: goes by seeds, and nothing is random"),
+        (dict(repeat=0), "repeat = 0: must be 1 or more"),
+        (dict(budget=0.0), "budget = 0.0: must be"),
+        (dict(budget=math.nan), "budget = nan: must be"),
+        (dict(base={"spacing": -1.0}), "spacing"),
+    ],
+)
+def test_what_makes_no_trade_is_refused_before_anything_is_written(tmp_path, settings, match):
+    with pytest.raises(SceneError, match=match):
+        run_trade("channel", channel, out=tmp_path / "t", device="cpu", **(dict(base=COARSE) | settings))
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_budget_too_short_for_a_pair_of_runs_is_refused(tmp_path):
+    with pytest.raises(SceneError, match=r"is too short for a pair of runs.*one takes"):
+        run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=1e-3, device="cpu", threads=1)
+
+
+def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="quantity = 'plateau_pressure': is nothing that the scene as given comes to"):
+        run_trade(
+            "pipe", pipe, base=PIPE | dict(travel=0.005), out=tmp_path / "t", device="cpu", repeat=1, budget=600.0
+        )
+
+
+def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_path):
+    record = json.loads((flow_trade.folder / "trade.json").read_text())
+    (tmp_path / "trade.json").write_text(json.dumps(record | {"provenance": {"warpcrete": "0.0.1"}}))
+    with pytest.raises(RunFolderError, match=r"was made by version 0\.0\.1"):
+        resume_trade(tmp_path, channel)
+    (tmp_path / "trade.json").write_text("{}")
+    with pytest.raises(RunFolderError, match="holds no trade"):
+        resume_trade(tmp_path, channel)
+
+
+def test_the_command(tmp_path):
+    done = command("trade", "channel", "--spacing", "0.02", "--knob", "tolerance", "--budget", "60s", "--quiet",
+                   "--threads", "1", "--device", "cpu", "--out", tmp_path / "t")  # fmt: skip
+    assert done.returncode == 0 and "| error wanted |" in done.stdout and (tmp_path / "t" / "trade.png").is_file()
+    for words, message in (
+        (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
+        (("trade", "chanel"), "scene = 'chanel': must be one of"),
+        (("trade", "channel", "--spacing", "0.01", "0.02"), "takes one value"),
+        (("trade", "--resume", tmp_path), "is no trade's folder"),
+        (("trade", "channel", "--resume", tmp_path / "t"), "goes on as the trade began"),
+    ):
+        done = command(*words)
+        assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

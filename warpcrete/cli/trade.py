@@ -1,0 +1,94 @@
+"""`warpcrete trade`: speed against accuracy of a scene, within a budget of time."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.errors import RunFolderError
+from ..core.files import next_folder, read_json
+from ..core.progress import ProgressBar
+from ..studies.trade import resume_trade, run_trade
+from ..studies.trade_report import table
+from ..studies.trading import Trade
+from .run import INTERRUPTED
+from .study import converted, parameter_values, parsed
+
+UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+ONE = {"budget": str, "repeat": int, "out": Path, "resume": Path, "device": str, "threads": int}
+SEVERAL = ("quantity", "knob")
+
+
+def seconds(text: str) -> float:
+    """Seconds of '90s', '20min' or '1.5h'."""
+    found = re.fullmatch(r"([0-9.]+(?:e-?[0-9]+)?) ?(s|min|h)", text.strip())
+    try:
+        return float(found.group(1)) * UNITS[found.group(2)]  # type: ignore[union-attr]
+    except (AttributeError, ValueError):
+        raise click.UsageError(f"budget = {text!r}: must be a time such as 90s, 20min or 2h") from None
+
+
+def run(arguments: list[str], modules: dict[str, Any]) -> None:
+    """Make, or go on with, a trade, and print its tables."""
+    scene, options = parsed(arguments)
+    quiet = options.pop("quiet", None) is not None
+    settings: dict[str, Any] = {}
+    for name, kind in ONE.items():
+        values = options.pop(name, None)
+        if values is not None:
+            if len(values) != 1:
+                raise click.UsageError(f"--{name}: takes one value")
+            settings[name] = converted(name, values[0], kind)
+    lists = {name: options.pop(name) for name in SEVERAL if name in options}
+    budget = seconds(settings.pop("budget", "20min"))
+    progress = ProgressBar()
+    tell = None if quiet else progress
+    try:
+        if "resume" in settings:
+            trade = _resumed(scene, settings, options | lists, modules, budget, tell)
+        else:
+            if scene not in modules:
+                raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+            values = parameter_values(modules[scene], options)
+            for name, given in values.items():
+                if len(given) > 1:
+                    raise click.UsageError(f"--{name}: takes one value; what varies are the scene's knobs")
+            trade = run_trade(
+                scene, modules[scene], base={name: given[0] for name, given in values.items()}, budget=budget,
+                out=settings.get("out") or next_folder("trade"), repeat=settings.get("repeat"),
+                quantities=lists.get("quantity"), knobs=lists.get("knob"), device=settings.get("device"),
+                threads=settings.get("threads"), progress=tell,
+            )  # fmt: skip
+    finally:
+        progress.close()
+    report(trade)
+
+
+def _resumed(
+    scene: str | None, settings: dict[str, Any], rest: dict[str, Any], modules: dict[str, Any], budget: float, tell: Any
+) -> Trade:
+    folder = settings.pop("resume")
+    if scene is not None or settings or rest:
+        raise click.UsageError(f"resume = '{folder}': goes on as the trade began; only --budget is new")
+    if not (folder / "trade.json").is_file():
+        raise RunFolderError(f"resume = '{folder}': is no trade's folder (it holds no trade.json)")
+    name = read_json(folder / "trade.json").get("scene")
+    if name not in modules:
+        raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
+    return resume_trade(folder, modules[name], budget=budget, progress=tell)
+
+
+def report(trade: Trade) -> None:
+    """Print the tables and where the rest is."""
+    click.echo()
+    if trade.points and trade.given.results:
+        click.echo(table(trade))
+    left = [p for p in trade.points if not p.results and p.failure.startswith("not run")]
+    click.echo(f"\ntrade folder: {trade.folder}")
+    if left or trade.interrupted:
+        click.echo(f"{len(left)} settings not run; go on with: warpcrete trade --resume {trade.folder} --budget 20min")
+    if trade.interrupted:
+        raise SystemExit(INTERRUPTED)

@@ -1,0 +1,208 @@
+"""Speed against accuracy: what the knobs of a scene cost and what they err by, measured, within a budget of time.
+
+First the scene as it is given, then each knob alone, then all knobs as fine as the budget allows (the reference, where
+no closed form is one), then the combinations that the measurements suggest for errors of 20 to 1 %. What such a
+combination promises is tried with seeds that no other run had. Every run fills a folder of its own, so a trade that is
+started again uses what is there; runs are made one at a time, or their times would mean nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.device import default_threads, find_device
+from ..core.errors import RunFolderError, refuse
+from ..core.files import check_new, read_json, write_json
+from ..core.provenance import provenance
+from ..methods import method_of
+from .fronts import cheapest_within, worst
+from .trade_report import write
+from .trading import COMBINED, GIVEN, REFERENCE, Promise, Tell, Trade
+
+TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
+"""Errors for which settings are sought."""
+FRESH = 3
+"""Seeds that a promise is tried with, besides those that it was made from."""
+ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
+"""Parts of the budget after which knobs alone, the finest setting and the combinations make room for what follows."""
+
+
+def run_trade(
+    scene_name: str,
+    module: Any,
+    *,
+    base: Mapping[str, Any] | None = None,
+    out: Path,
+    budget: float = 1200.0,
+    quantities: Sequence[str] | None = None,
+    knobs: Sequence[str] | None = None,
+    repeat: int | None = None,
+    device: str | None = None,
+    threads: int | None = None,
+    progress: Tell | None = None,
+) -> Trade:
+    """Measure speed against accuracy of the scene `module.scene` with parameters `base` into the new folder `out`.
+
+    `budget` is wall time [s]; `quantities` are those that errors are of, `knobs` those that are turned (default: all
+    of the scene), `repeat` the seeds of each setting (default 3; 1 where nothing is random). Raises
+    :class:`SceneError` before anything is written where that cannot be done, and after the first run where the budget
+    does not reach for a second.
+    """
+    trading = getattr(module, "trading", None)
+    if trading is None:
+        refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
+    given = module.scene.parameters(**module.scene.resolved(base or {}))
+    scene = module.scene(**(base or {}))
+    parameters = {name: scene.parameters[name] for name in module.scene.resolved(base or {})}
+    known = {each.name: each for each in method_of(scene).quantities}
+    chosen = list(quantities or trading.quantities)
+    for name in chosen:
+        if name not in known:
+            refuse("quantity", name, f"must be among {', '.join(known)}")
+    all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
+    for name in knobs or ():
+        if name not in all_knobs:
+            refuse("knob", name, f"must be among {', '.join(all_knobs)}")
+    seeded = _random(scene)
+    if repeat is not None and repeat > 1 and not seeded:
+        refuse("repeat", repeat, "goes by seeds, and nothing is random in this scene", "leave it out")
+    if repeat is not None and repeat < 1:
+        refuse("repeat", repeat, "must be 1 or more")
+    if not budget > 0 or not math.isfinite(budget):
+        refuse("budget", budget, "must be a finite number above 0 s")
+    found = find_device(device)
+    check_new(out)
+    out.mkdir(parents=True)
+    record = {
+        "scene": scene_name,
+        "parameters": parameters,
+        "quantities": chosen,
+        "knobs": list(knobs or all_knobs),
+        "repeat": (repeat or 3) if seeded else 1,
+        "seeded": seeded,
+        "device": str(found),
+        "threads": threads or default_threads(),
+        "provenance": provenance(found, scene.precision, int(getattr(scene, "seed", 0))),
+    }
+    write_json(out / "trade.json", record)
+    return resume_trade(out, module, budget=budget, progress=progress)
+
+
+def resume_trade(folder: Path, module: Any, *, budget: float = 1200.0, progress: Tell | None = None) -> Trade:
+    """Go on with a trade for another `budget` of wall time [s]; runs that are there are used."""
+    record = read_json(folder / "trade.json")
+    try:
+        trade = Trade(folder, module, record)
+        version = record["provenance"]["warpcrete"]
+    except (KeyError, TypeError) as error:
+        raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
+    now = provenance(find_device(trade.device), "float32", 0)["warpcrete"]
+    if version != now:
+        raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
+    trade.budget = budget
+    _measure(trade, progress or (lambda phase, fraction, figures: None))
+    return trade
+
+
+def _random(scene: Any) -> bool:
+    """Seeds change something."""
+    return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
+
+
+def _measure(trade: Trade, tell: Tell) -> None:
+    """All phases, as far as the budget goes; tables and figure are written whatever ends it."""
+    given = trade.point(GIVEN, {})
+    try:
+        if not trade.run(given, trade.seeds[:1], tell):
+            if given.failure:
+                refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
+            return
+        if 2 * given.cost > trade.budget:
+            refuse(
+                "budget", f"{trade.budget:g} s", "is too short for a pair of runs",
+                f"one takes {given.cost:.3g} s; give {10 * given.cost:.2g} s or more",
+            )  # fmt: skip
+        missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
+        if missing:
+            refuse("quantity", missing[0], "is nothing that the scene as given comes to", "name another, or change it")
+        trade.run(given, trade.seeds, tell)
+        _one_at_a_time(trade, tell)
+        if not trade.exact:
+            _finest(trade, tell)
+        trade.judge()
+        _combine(trade, tell)
+        trade.judge()
+        _promise(trade, tell)
+    finally:
+        trade.judge()
+        write(trade)
+
+
+def _one_at_a_time(trade: Trade, tell: Tell) -> None:
+    """Each level of each knob alone, the cheap ones first."""
+    alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
+    for point in sorted(alone, key=trade.expected):
+        trade.run(point, trade.seeds, tell, ALONE_UNTIL)
+
+
+def _finest(trade: Trade, tell: Tell) -> None:
+    """All knobs at their finest, or as near to that as the budget reaches: first gives way what matters least.
+
+    No knob is set coarser than the scene has it.
+    """
+    levels = {}
+    for knob in trade.knobs:
+        first = trade.level_as_given(knob)
+        usable = [k for k in range(first, len(knob.levels)) if math.isfinite(trade.shift(knob, k))]
+        if usable:
+            levels[knob.name] = usable
+    by_name = {knob.name: knob for knob in trade.knobs}
+    while True:
+        top = {name: usable[-1] for name, usable in levels.items()}
+        cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
+        if cost * len(trade.seeds) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
+            break
+        # What a step back saves, in powers of e, for each part of error that it costs.
+        saved = {}
+        for name, usable in levels.items():
+            if len(usable) > 1:
+                ratio = trade.ratio(by_name[name], usable[-1]) / trade.ratio(by_name[name], usable[-2])
+                if ratio > 1.0:
+                    saved[name] = math.log(ratio) / (trade.shift(by_name[name], usable[-2]) + 1e-4)
+        if not saved:
+            break
+        levels[max(saved, key=lambda name: saved[name])].pop()
+    point = trade.point(REFERENCE, {name: usable[-1] for name, usable in levels.items()})
+    if point.origin == REFERENCE and not trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
+        # As given is what there is to go by.
+        trade.points.remove(point)
+        point = trade.given
+    point.origin = REFERENCE
+
+
+def _combine(trade: Trade, tell: Tell) -> None:
+    """For each wanted error the levels that should stay within it at least cost."""
+    choices = {
+        knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
+        for knob in trade.knobs
+        if any(math.isfinite(trade.shift(knob, k)) for k in range(len(knob.levels)))
+    }
+    wanted = [cheapest_within(choices, target) for target in TARGETS]
+    points = [trade.point(COMBINED, levels) for levels in wanted if levels is not None]
+    for point in sorted(points, key=trade.expected):
+        trade.run(point, trade.seeds, tell, COMBINED_UNTIL)
+
+
+def _promise(trade: Trade, tell: Tell) -> None:
+    """The cheapest point within each wanted error, tried with fresh seeds."""
+    fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH)] if trade.has_seeds else []
+    for target in TARGETS:
+        within = [p for p in trade.measured if trade.promised(p) <= target and not p.suspect]
+        point = min(within, key=lambda p: p.cost, default=None)
+        found = None
+        if point is not None and fresh and trade.run(point, fresh, tell):
+            found = worst(trade.errors_of(point, fresh))
+        trade.promises.append(Promise(target, point, found))
