@@ -13,6 +13,7 @@ from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
+from warpcrete.studies.advice import advise
 from warpcrete.studies.fronts import Error, cheapest_within, difference, front, student, worst
 from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE
@@ -126,7 +127,7 @@ def test_what_a_trade_writes(flow_trade):
 
 def test_a_trade_that_is_started_again_uses_its_runs(flow_trade):
     times = {path: path.stat().st_mtime_ns for path in flow_trade.folder.rglob("result.json")}
-    again = resume_trade(flow_trade.folder, channel, budget=60.0)
+    again = resume_trade(flow_trade.folder, channel, budget=1e-3)
     assert again.spent == 0.0 and len(again.points) == len(flow_trade.points)
     assert {path: path.stat().st_mtime_ns for path in flow_trade.folder.rglob("result.json")} == times
 
@@ -142,6 +143,10 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(device, tm
     expected = np.mean(given) / np.mean(fine) - 1
     assert trade.given.errors[0].shift == pytest.approx(expected) and trade.given.errors[0].interval > 0
     assert finest.errors[0].shift == 0 and finest.errors[0].interval > 0
+    # Gone on with, however little time there is, it goes by the same.
+    again = resume_trade(tmp_path / "t", pipe, budget=1e-3)
+    assert again.spent == 0 and again.reference.levels == finest.levels
+    assert [p.errors for p in again.points] == [p.errors for p in trade.points]
     # Coarser aggregate is cheaper, which no machine changes.
     (coarse,) = [p for p in trade.points if p.levels == {"coarse-graining": 0}]
     assert coarse.work < 0.5 * trade.given.work
@@ -212,4 +217,70 @@ def test_the_command(tmp_path):
         (("trade", "channel", "--resume", tmp_path / "t"), "goes on as the trade began"),
     ):
         done = command(*words)
+        assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_scene_function_is_traded_from_python(tmp_path):
+    import warpcrete
+
+    trade = warpcrete.trade(
+        warpcrete.scenes.channel,
+        out=tmp_path / "t",
+        budget=60.0,
+        knobs=["tolerance"],
+        device="cpu",
+        threads=1,
+        **COARSE,
+    )
+    assert trade.scene_name == "channel" and trade.given.results and trade.base == COARSE
+    with pytest.raises(SceneError, match="must be a scene function"):
+        warpcrete.trade(lambda: None)
+
+
+def test_settings_for_an_accuracy(flow_trade):
+    best = {p.target: flow_trade.promised(p.point) for p in flow_trade.promises if p.point is not None}
+    advice = advise(flow_trade.folder, "channel", channel, COARSE, 0.2)
+    (promise,) = [p for p in flow_trade.promises if p.target == 0.2]
+    changed = {k: v for k, v in promise.point.parameters.items() if COARSE.get(k) != v}
+    assert {k: v for k, v in advice.changes.items() if channel.scene.parameters().__dict__[k] != v} == changed
+    assert advice.promised == best[0.2] <= 0.2 and advice.outside == () and advice.quantities[0] == "pressure"
+    assert advice.ratio == pytest.approx(promise.point.cost / flow_trade.given.cost)
+    # What somebody chose stays; where the scene is another one, that is said.
+    advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
+    assert "time_step" not in advice.changes and set(advice.outside) == {
+        "time_step 0.0003 for 0.0005",
+        "flow 0.001 for None",
+    }
+    with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: that trade promises"):
+        advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)
+    with pytest.raises(RunFolderError, match="is of the scene 'channel', not 'pipe'"):
+        advise(flow_trade.folder, "pipe", pipe, {}, 0.1)
+
+
+def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
+    promise = {"setting": "x", "levels": {"coarse-graining": 1, "time step": 1}, "promised": 0.04, "ratio": 0.3}
+    record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "promises": [promise]}
+    (tmp_path / "trade.json").write_text(json.dumps(record))
+    advice = advise(tmp_path, "pipe", pipe, {"size_max": 0.012, "size_min": 0.006, "diameter": 0.1}, 0.05)
+    assert advice.changes == pytest.approx({"size_min": 0.012, "size_max": 0.024, "safety": 1.2})
+    advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
+    assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
+
+
+def test_a_run_for_an_accuracy(flow_trade, tmp_path):
+    folder = flow_trade.folder
+    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
+    wanted = ("--accuracy", "20%", "--trade", folder)
+    done = command("run", "channel", "--spacing", "0.02", *wanted, "--out", tmp_path / "r", *bare)
+    assert done.returncode in (0, 3) and "note: " in done.stderr and " within " in done.stderr
+    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    advice = advise(folder, "channel", channel, COARSE, 0.2)
+    assert {name: made[name] for name in advice.changes} == advice.changes
+    for words, message in (
+        (("--accuracy", "5%"), "accuracy = '5%': needs --trade FOLDER"),
+        (("--trade", folder), "means nothing without --accuracy"),
+        (("--accuracy", "much", "--trade", folder), "must be per cent"),
+        (("--accuracy", "5%", "--trade", tmp_path), "is no trade's folder"),
+    ):
+        done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -22,8 +22,9 @@ from .core.errors import (
 if TYPE_CHECKING:
     from . import scenes
     from .dem.scene import Scene
-    from .methods import Run, Simulation
+    from .methods import Simulation
     from .mps.scene import FluidScene
+    from .studies.trade import trade
 
 __all__ = [
     "CapacityError",
@@ -31,16 +32,17 @@ __all__ = [
     "DeviceError",
     "FluidScene",
     "InstabilityError",
-    "Run",
     "RunFolderError",
     "Scene",
     "SceneError",
     "Simulation",
     "WarpcreteError",
     "scenes",
+    "trade",
 ]
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
+_LAZY |= {"trade": "studies.trade"}
 
 
 def __getattr__(name: str) -> Any:

@@ -88,9 +88,16 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         given = options.given(values)
         settings = {key: values.pop(key) for key in common}
         resume = settings.pop("resume")
+        accuracy, trade = settings.pop("accuracy"), settings.pop("trade")
         job = _part("run")
         if resume is None:
-            job.run(name, module, {key: value for key, value in given.items() if key not in common}, settings)
+            parameters = {key: value for key, value in given.items() if key not in common}
+            if accuracy is not None or trade is not None:
+                changes = _part("advice").chosen(name, module, parameters, accuracy, trade)
+                if "precision" not in given:
+                    settings["precision"] = changes.pop("precision", settings["precision"])
+                parameters = module.scene.resolved(parameters) | changes
+            job.run(name, module, parameters, settings)
             return
         changed = [key for key in given if key not in ("resume", "quiet", "live")]
         if changed:

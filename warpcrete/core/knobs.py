@@ -26,14 +26,17 @@ class Knob:
     name: str
     levels: tuple[Level, ...]
     """From the coarsest to the finest; one of them is the scene as it is given."""
+    physical: bool = False
+    """Its parameters are properties of the concrete, of which a coarser level makes others."""
 
 
 def scaled(
-    name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "", finest: float = 1.0
-) -> Knob:
+    name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
+    physical: bool = False,
+) -> Knob:  # fmt: skip
     """Knob of one number: its `value` times `factors`, from the coarsest on; time goes with the factor's `power`."""
-    levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, (f / finest) ** power) for f in factors]
-    return Knob(name, tuple(levels))
+    levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power) for f in factors]
+    return Knob(name, tuple(levels), physical)
 
 
 def precisions() -> Knob:

@@ -12,6 +12,7 @@ import functools
 import inspect
 import math
 import re
+import sys
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -189,6 +190,11 @@ class SceneFunction(Generic[P, S]):
                 for f in declared_fields(parameters).values()
             ]
         )
+
+    @property
+    def module(self) -> types.ModuleType:
+        """Where the function was written: a scene's check and knobs stand beside it."""
+        return sys.modules[self._build.__module__]
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)

@@ -236,7 +236,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     yield precisions()
     if given.sizes in ("gaussian", "uniform"):
         widest = max(WIDEST_STONE * given.diameter / given.size_max, 1.0)
-        yield Knob("coarse-graining", tuple(_coarser(given, c) for c in COARSENINGS if c <= widest))
+        yield Knob("coarse-graining", tuple(_coarser(given, c) for c in COARSENINGS if c <= widest), True)
     if given.shapes == "reference":
         yield Knob("shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})))
     elif of_meshes(given.shapes):
@@ -244,7 +244,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     if given.wall in ("analytic", "mesh"):
         faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in FACETS]
         yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
-    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa")
+    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
     if given.settle > 0:
         yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")
 

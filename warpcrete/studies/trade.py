@@ -15,19 +15,35 @@ from typing import Any
 
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, refuse
-from ..core.files import check_new, read_json, write_json
+from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.provenance import provenance
 from ..methods import method_of
 from .fronts import cheapest_within, worst
 from .trade_report import write
 from .trading import COMBINED, GIVEN, REFERENCE, Promise, Tell, Trade
 
+SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "progress")
 TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Errors for which settings are sought."""
 FRESH = 3
 """Seeds that a promise is tried with, besides those that it was made from."""
 ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Parts of the budget after which knobs alone, the finest setting and the combinations make room for what follows."""
+
+
+def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
+    """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
+
+    Settings (`budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `progress`) are those of
+    :func:`run_trade`; all else in `given` are parameters of the scene. `out` is the new folder (default:
+    runs/trade-NNN). Raises what that raises.
+    """
+    module = getattr(scene, "module", None)
+    if module is None or getattr(module, "scene", None) is not scene:
+        refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
+    settings = {name: given.pop(name) for name in SETTINGS if name in given}
+    name = module.__name__.rpartition(".")[2]
+    return run_trade(name, module, base=given, out=Path(out) if out else next_folder("trade"), **settings)
 
 
 def run_trade(
@@ -120,7 +136,7 @@ def _measure(trade: Trade, tell: Tell) -> None:
             if given.failure:
                 refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
             return
-        if 2 * given.cost > trade.budget:
+        if trade.spent > 0 and 2 * given.cost > trade.budget:  # of a trade that goes on, little may be left to do
             refuse(
                 "budget", f"{trade.budget:g} s", "is too short for a pair of runs",
                 f"one takes {given.cost:.3g} s; give {10 * given.cost:.2g} s or more",
@@ -165,6 +181,8 @@ def _finest(trade: Trade, tell: Tell) -> None:
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
         if cost * len(trade.seeds) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
+        if top == trade.record.get("finest"):  # run before, when there was more left
+            break
         # What a step back saves, in powers of e, for each part of error that it costs.
         saved = {}
         for name, usable in levels.items():
@@ -181,6 +199,7 @@ def _finest(trade: Trade, tell: Tell) -> None:
         trade.points.remove(point)
         point = trade.given
     point.origin = REFERENCE
+    trade.record = {**trade.record, "finest": {name: usable[-1] for name, usable in levels.items()}}
 
 
 def _combine(trade: Trade, tell: Tell) -> None:

@@ -108,6 +108,8 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
     return {
         "target": promise.target,
         "setting": None if point is None else trade.label(point),
+        "levels": None if point is None else point.levels,
+        "ratio": None if point is None else point.cost / trade.given.cost,
         "parameters": None if point is None else point.parameters,
         "promised": None if point is None else trade.promised(point),
         "found": None if found is None else {"shift": found.shift, "interval": found.interval},
@@ -137,11 +139,16 @@ def _number(value: float) -> str:
 
 FLOOR = 1e-4  # smallest error that is drawn: logarithms know no zero
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
+NEAR = 0.05  # parts of the figure within which a second level's name would be printed over the first
 
 
 def draw(trade: Trade) -> Any:
-    """Matplotlib figure: error over cost, a point for every setting, the front, and how far seeds scatter."""
+    """Matplotlib figure: error over cost, a point for every setting, the front, and how far seeds scatter.
+
+    Settings that fail a check are hollow.
+    """
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(8.4, 5.0), layout="constrained")
     axes = figure.subplots()
@@ -149,35 +156,57 @@ def draw(trade: Trade) -> Any:
     for k, origin in enumerate(origins):
         mine = [(p, p.worst) for p in trade.measured if p.origin == origin and p.worst is not None]
         if mine:
-            _series(axes, trade, origin, mine, MARKERS.get(origin, "osv^<>hX"[k % 8]), f"C{k % 10}")
+            _series(axes, origin, mine, MARKERS.get(origin, "osv^<>hX"[k % 8]), f"C{k % 10}")
     best = [(p.cost, 100 * max(p.worst.size, FLOOR)) for p in on_front(trade) if p.worst is not None]
     if best:
         axes.plot(*zip(*best), color="0.5", linewidth=1.0, drawstyle="steps-post", zorder=0, label="front")
+    sizes = [max(p.worst.size, FLOOR) for p in trade.measured if p.worst is not None]
+    bottom = 60 * min(sizes)
     reference = None if trade.reference is None else trade.reference.worst
     if reference is not None and reference.interval > 0:
-        axes.axhspan(100 * FLOOR, 100 * reference.interval, color="0.93", zorder=-1, label="scatter of the finest")
+        axes.axhspan(bottom, 100 * reference.interval, color="0.92", zorder=-1, label="scatter of the finest")
     axes.set(
         xscale="log", yscale="log", xlabel=f"time of a run [s] on {trade.machine}", ylabel="largest error [%]",
         title=f"{trade.scene_name}: {', '.join(each.title for each in trade.quantities)}",
     )  # fmt: skip
-    axes.set_ylim(bottom=70 * FLOOR)
+    axes.set_ylim(bottom=bottom)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    _name_levels(axes, trade)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=7, ncols=2)
     return figure
 
 
-def _series(axes: Any, trade: Trade, origin: str, mine: list[tuple[Point, Error]], marker: str, colour: str) -> None:
-    """Points of one origin with their intervals, and their levels beside them."""
+def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str, colour: str) -> None:
+    """Points of one origin with their intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]
     below = [min(span, 0.9 * size) for span, size in zip(spans, sizes)]
-    axes.errorbar(
-        costs, sizes, [below, spans], fmt=marker, color=colour, markersize=11 if origin == GIVEN else 6, capsize=2,
-        linewidth=0.8, label=origin,
-    )  # fmt: skip
-    if origin in MARKERS:
-        return
-    for (point, _), cost, size in zip(mine, costs, sizes):
-        text = trade.label(point).removeprefix(f"{origin} ")
-        axes.annotate(text, (cost, size), (4, 4), textcoords="offset points", fontsize=6, color="0.35")
+    size = 11 if origin == GIVEN else 6
+    axes.errorbar(costs, sizes, [below, spans], fmt="none", ecolor=colour, capsize=2, linewidth=0.8)
+    label: str | None = origin
+    for suspect in (False, True):
+        chosen = [(x, y) for (point, _), x, y in zip(mine, costs, sizes) if bool(point.suspect) is suspect]
+        face = "white" if suspect else colour
+        if chosen:
+            axes.plot(*zip(*chosen), marker, color=colour, markerfacecolor=face, markersize=size, label=label)
+            label = None
+
+
+def _name_levels(axes: Any, trade: Trade) -> None:
+    """Levels beside the points of single knobs, but where one would stand over another; the table has them all."""
+    placed: list[Any] = []
+    into_figure = axes.transData + axes.transAxes.inverted()
+    for point in trade.measured:
+        if point.origin in MARKERS or point.worst is None:
+            continue
+        at = (point.cost, 100 * max(point.worst.size, FLOOR))
+        x, y = into_figure.transform(at)
+        if all(abs(x - u) > 2 * NEAR or abs(y - v) > NEAR for u, v in placed):
+            text = trade.label(point).removeprefix(f"{point.origin} ")
+            axes.annotate(text, at, (4, 4), textcoords="offset points", fontsize=6, color="0.35")
+            placed.append((x, y))

@@ -1,0 +1,85 @@
+"""Settings for a wanted accuracy, from a trade that measured them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import RunFolderError, refuse
+from ..core.files import read_json
+from ..core.parameters import declared_fields
+
+NO_MATTER = ("seed", "precision")
+"""Parameters in which a scene may differ from that of a trade."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to set, what is promised of it, and how far that carries."""
+
+    changes: dict[str, Any]
+    """Parameters to set."""
+    setting: str
+    """In words."""
+    promised: float
+    """Largest error of the trade's quantities."""
+    quantities: tuple[str, ...]
+    ratio: float
+    """Time of a run over that of the scene without these changes."""
+    outside: tuple[str, ...]
+    """In what the scene differs from the one that was measured: the promise was not tried there."""
+
+
+def advise(folder: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
+    """Cheapest settings that the trade in `folder` promises to err by no more than `accuracy` (1 is all).
+
+    `given` are the parameters of the scene `name` of `module` that somebody chose; of those only properties of the
+    concrete change, as the aggregate's sizes do when it is coarsened. Raises :class:`SceneError` for an accuracy that
+    is none or that the trade did not reach, :class:`RunFolderError` for a folder that holds no trade of this scene.
+    """
+    if not 0 < accuracy < 1:
+        refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")
+    record = read_json(folder / "trade.json")
+    if record.get("scene") != name:
+        raise RunFolderError(f"trade = '{folder}': is of the scene {record.get('scene')!r}, not {name!r}")
+    promises = [p for p in record.get("promises", []) if p["setting"] is not None]
+    if not promises:
+        raise RunFolderError(f"trade = '{folder}': promises nothing yet; let it go on with 'warpcrete trade --resume'")
+    within = [p for p in promises if p["promised"] <= accuracy]
+    if not within:
+        best = min(p["promised"] for p in promises)
+        refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: that trade promises {100 * best:.2g} % at best",
+               "ask for that, or let the trade go on")  # fmt: skip
+    chosen = min(within, key=lambda p: p["ratio"])
+    own = module.scene.resolved(given)
+    knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.parameters(**own))}
+    changes: dict[str, Any] = {}
+    for name_of_knob, level in chosen["levels"].items():
+        knob = knobs.get(name_of_knob)
+        if knob is None or level >= len(knob.levels):
+            continue
+        # By its place among the levels: what is a factor there is the same factor of what this scene has.
+        wanted = knob.levels[level].changes
+        if knob.physical or not any(key in own for key in wanted):
+            changes |= wanted
+    return Advice(
+        changes, chosen["setting"], chosen["promised"], tuple(record["quantities"]), chosen["ratio"],
+        tuple(_outside(record["parameters"], own, module)),
+    )  # fmt: skip
+
+
+def _outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
+    """Parameters that differ from those of the trade's scene, in words."""
+    defaults = {name: field.default for name, field in declared_fields(module.scene.parameters).items()}
+    found = []
+    for name, default in defaults.items():
+        here, there = own.get(name, default), measured.get(name, default)
+        if name not in NO_MATTER and here != there:
+            found.append(f"{name} {_shown(here)} for {_shown(there)}")
+    return found
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
