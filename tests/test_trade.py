@@ -4,6 +4,7 @@ import csv
 import importlib
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from warpcrete.scenes import modules
 from warpcrete.studies.advice import advise
 from warpcrete.studies.fronts import Error, cheapest_within, difference, front, student, worst
 from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE
+from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point
 
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 COARSE = dict(spacing=0.02)
@@ -158,6 +159,7 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(device, tm
 def test_a_budget_is_kept_and_what_it_left_out_is_said(tmp_path):
     trade = run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=0.6, device="cpu", threads=1,
                       knobs=["spacing"])  # fmt: skip
+    assert trade.spent < 0.6 + max(p.cost for p in trade.points if p.results) + 0.5  # of the run that was under way
     left_out = [p for p in trade.points if not p.results]
     assert left_out and all(p.failure.startswith("not run: takes some") for p in left_out)
     assert "not run" in (tmp_path / "t" / "trade.md").read_text()
@@ -171,7 +173,12 @@ def test_a_budget_is_kept_and_what_it_left_out_is_said(tmp_path):
         (dict(quantities=["presure"]), "quantity = 'presure': must be among"),
         (dict(knobs=["spacings"]), "knob = 'spacings': must be among spacing"),
         (dict(repeat=2), "repeat = 2: goes by seeds, and nothing is random"),
-        (dict(repeat=0), "repeat = 0: must be 1 or more"),
+        (dict(repeat=0), "repeat = 0: must be 1"),
+        (
+            dict(quantities=["volume_error"]),
+            "quantity = 'volume_error': has no closed form to be compared with; take pressure or",
+        ),
+        (dict(threads=-1), "threads"),
         (dict(budget=0.0), "budget = 0.0: must be"),
         (dict(budget=math.nan), "budget = nan: must be"),
         (dict(base={"spacing": -1.0}), "spacing"),
@@ -191,7 +198,7 @@ def test_a_budget_too_short_for_a_pair_of_runs_is_refused(tmp_path):
 def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
     with pytest.raises(SceneError, match="quantity = 'plateau_pressure': is nothing that the scene as given comes to"):
         run_trade(
-            "pipe", pipe, base=PIPE | dict(travel=0.005), out=tmp_path / "t", device="cpu", repeat=1, budget=600.0
+            "pipe", pipe, base=PIPE | dict(travel=0.005), out=tmp_path / "t", device="cpu", repeat=2, budget=600.0
         )
 
 
@@ -258,13 +265,79 @@ def test_settings_for_an_accuracy(flow_trade):
 
 
 def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
-    promise = {"setting": "x", "levels": {"coarse-graining": 1, "time step": 1}, "promised": 0.04, "ratio": 0.3}
+    levels = {"coarse-graining": "x 2", "time step": "x 1.5"}
+    promise = {"setting": "x", "levels": levels, "promised": 0.04, "ratio": 0.3}
     record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "promises": [promise]}
     (tmp_path / "trade.json").write_text(json.dumps(record))
     advice = advise(tmp_path, "pipe", pipe, {"size_max": 0.012, "size_min": 0.006, "diameter": 0.1}, 0.05)
     assert advice.changes == pytest.approx({"size_min": 0.012, "size_max": 0.024, "safety": 1.2})
+    assert not advice.left_out
     advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
     assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
+    assert advice.left_out == ("time step 0.75, for what is given",)
+    # A pipe too narrow for that: the level is none of its own, and no other one takes its place.
+    advice = advise(tmp_path, "pipe", pipe, {"diameter": 0.08}, 0.05)
+    assert advice.changes == pytest.approx({"safety": 1.2})
+    assert advice.left_out == ("coarse-graining x 2, which this scene has not",)
+
+
+def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(flow_trade):
+    (promise,) = [p for p in flow_trade.promises if p.target == 0.2]
+    default = channel.scene.parameters().time_step
+    advice = advise(flow_trade.folder, "channel", channel, COARSE, 0.2)
+    if "time step" in promise.point.levels:  # chosen by somebody, and so it stays
+        assert advise(flow_trade.folder, "channel", channel, COARSE | {"time_step": 3e-4}, 0.2).left_out
+    assert advice.changes.get("time_step", default) == promise.point.parameters.get("time_step", default)
+
+
+@pytest.fixture(scope="module")
+def element_trade(tmp_path_factory):
+    out = tmp_path_factory.mktemp("trade") / "pipe"
+    run_trade("pipe", pipe, base=PIPE, out=out, knobs=["time step"], budget=600.0, device="cpu", threads=1, repeat=2,
+              quantities=["end_pressure"])  # fmt: skip
+    return out
+
+
+def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monkeypatch):
+    shutil.copytree(element_trade, tmp_path / "t")
+    trade = resume_trade(tmp_path / "t", pipe)
+    before = json.loads((tmp_path / "t" / "trade.json").read_text())
+    (gone,) = [p for p in trade.points if p.levels == {"time step": 1}]
+    for seed in trade.seeds:
+        (trade._folder(gone, seed) / "result.json").unlink()
+    from warpcrete.studies.trading import Trade
+
+    def interrupted(self, point, seed, folder):
+        self.interrupted = True
+
+    monkeypatch.setattr(Trade, "_run", interrupted)
+    again = resume_trade(tmp_path / "t", pipe, budget=600.0)
+    assert again.interrupted and again.reference.levels == trade.reference.levels == {"time step": 4}
+    assert again.given.errors == trade.given.errors
+    after = json.loads((tmp_path / "t" / "trade.json").read_text())
+    assert after["finest"] == before["finest"]
+    # Runs of some of the seeds promise nothing.
+    partial = Point("x", {}, {}, {trade.seeds[0]: trade.given.results[trade.seeds[0]]})
+    again.points.append(partial)
+    again.judge()
+    assert partial.errors and partial not in again.measured and math.isinf(again.promised(partial))
+
+
+def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, monkeypatch):
+    shutil.copytree(element_trade, tmp_path / "t")
+    trade = resume_trade(tmp_path / "t", pipe)
+    from warpcrete.studies import trade as phases
+
+    monkeypatch.setattr(type(trade), "promised", lambda self, point: 0.01)
+    cheapest = min(trade.measured, key=lambda p: p.cost)
+    for seed in (2, 3, 4):
+        folder = trade._folder(cheapest, seed)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "failed.txt").write_text("failed: exploded")
+        cheapest.results.pop(seed, None)
+    trade.promises.clear()
+    phases._promise(trade, lambda *_: None)
+    assert cheapest.failure and all(p.point is not None and p.point is not cheapest for p in trade.promises)
 
 
 def test_a_run_for_an_accuracy(flow_trade, tmp_path):

@@ -29,8 +29,11 @@ def chosen(
         raise click.UsageError(f"accuracy = {accuracy!r}: must be per cent, as 5%") from None
     found = advise(trade, name, module, parameters, part)
     quantities = " and ".join(found.quantities)
-    click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-               f"in {found.ratio:.2g} of the time", err=True)  # fmt: skip
+    if found.left_out:
+        click.echo(f"note: {found.setting}, without {'; '.join(found.left_out)}: nothing is promised of that", err=True)
+    else:
+        click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
+                   f"in {found.ratio:.2g} of the time", err=True)  # fmt: skip
     if found.outside:
         click.echo(f"note: not measured with {', '.join(found.outside)}: there the error may be larger", err=True)
     return found.changes

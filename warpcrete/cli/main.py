@@ -117,6 +117,8 @@ def _repeat_command(path: Path) -> click.Command:
         job = _part("run")
         if settings.pop("resume") is not None:
             raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
+        if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
+            raise click.UsageError("--accuracy, --trade: mean nothing beside a scene.json, which says all settings")
         record, module = job.saved_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
         if "threads" in record.get("command", {}):

@@ -43,6 +43,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
                 raise click.UsageError(f"--{name}: takes one value")
             settings[name] = converted(name, values[0], kind)
     lists = {name: options.pop(name) for name in SEVERAL if name in options}
+    for name, values in lists.items():
+        if not values:
+            raise click.UsageError(f"--{name}: needs a name or several")
     budget = seconds(settings.pop("budget", "20min"))
     progress = ProgressBar()
     tell = None if quiet else progress
@@ -86,7 +89,7 @@ def report(trade: Trade) -> None:
     click.echo()
     if trade.points and trade.given.results:
         click.echo(table(trade))
-    left = [p for p in trade.points if not p.results and p.failure.startswith("not run")]
+    left = [p for p in trade.points if not p.failure.startswith("failed") and not trade.complete(p, trade.seeds)]
     click.echo(f"\ntrade folder: {trade.folder}")
     if left or trade.interrupted:
         click.echo(f"{len(left)} settings not run; go on with: warpcrete trade --resume {trade.folder} --budget 20min")

@@ -49,11 +49,12 @@ class StopAtSample:
         return self
 
     def _stop(self, signum: int, frame: Any) -> None:
-        if self.simulations and all(simulation.finishing for simulation in self.simulations):
-            return
-        if self.asked:
+        writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
+        if self.asked and not writing:
             raise KeyboardInterrupt
         self.asked = True
+        if writing:
+            return
         for simulation in self.simulations:
             simulation.stop_requested = True
 

@@ -17,6 +17,8 @@ class Level:
     """Parameters that differ from the scene's."""
     cost: float = 1.0
     """Time that is expected over that of the other levels of the knob; only plans go by it, before it is measured."""
+    key: str = ""
+    """What it is called in a scene of other numbers: a factor, where `label` is a number. Default: the label."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +31,17 @@ class Knob:
     physical: bool = False
     """Its parameters are properties of the concrete, of which a coarser level makes others."""
 
+    def level_of(self, key: str) -> Level | None:
+        """The level that goes by a key in scenes of any numbers; None where this scene has it not."""
+        return next((level for level in self.levels if (level.key or level.label) == key), None)
+
 
 def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False,
 ) -> Knob:  # fmt: skip
     """Knob of one number: its `value` times `factors`, from the coarsest on; time goes with the factor's `power`."""
-    levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power) for f in factors]
+    levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical)
 
 

@@ -238,11 +238,16 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
         widest = max(WIDEST_STONE * given.diameter / given.size_max, 1.0)
         yield Knob("coarse-graining", tuple(_coarser(given, c) for c in COARSENINGS if c <= widest), True)
     if given.shapes == "reference":
-        yield Knob("shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})))
+        yield Knob(
+            "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
+        )
     elif of_meshes(given.shapes):
-        yield Knob("shape", tuple(Level(f"{n} spheres", {"shape_spheres": n}, n**0.7) for n in SPHERES))
+        yield Knob(
+            "shape",
+            tuple(Level(f"{n} spheres", {"shape_spheres": n}, n**0.7) for n in sorted({*SPHERES, given.shape_spheres})),
+        )
     if given.wall in ("analytic", "mesh"):
-        faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in FACETS]
+        faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in sorted({*FACETS, given.facets})]
         yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
     yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
     if given.settle > 0:

@@ -28,6 +28,8 @@ class Advice:
     quantities: tuple[str, ...]
     ratio: float
     """Time of a run over that of the scene without these changes."""
+    left_out: tuple[str, ...]
+    """What belongs to the setting, but could not be set: without it nothing is promised."""
     outside: tuple[str, ...]
     """In what the scene differs from the one that was measured: the promise was not tried there."""
 
@@ -44,29 +46,37 @@ def advise(folder: Path, name: str, module: Any, given: Mapping[str, Any], accur
     record = read_json(folder / "trade.json")
     if record.get("scene") != name:
         raise RunFolderError(f"trade = '{folder}': is of the scene {record.get('scene')!r}, not {name!r}")
-    promises = [p for p in record.get("promises", []) if p["setting"] is not None]
-    if not promises:
+    try:
+        promises = [p for p in record.get("promises", []) if p["setting"] is not None]
+        best = min((float(p["promised"]) for p in promises), default=None)
+        within = [p for p in promises if p["promised"] <= accuracy]
+        chosen = min(within, key=lambda p: float(p["ratio"]), default=None)
+        levels = dict(chosen["levels"]) if chosen else {}
+        measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
+    if best is None:
         raise RunFolderError(f"trade = '{folder}': promises nothing yet; let it go on with 'warpcrete trade --resume'")
-    within = [p for p in promises if p["promised"] <= accuracy]
-    if not within:
-        best = min(p["promised"] for p in promises)
+    if chosen is None:
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: that trade promises {100 * best:.2g} % at best",
                "ask for that, or let the trade go on")  # fmt: skip
-    chosen = min(within, key=lambda p: p["ratio"])
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.parameters(**own))}
     changes: dict[str, Any] = {}
-    for name_of_knob, level in chosen["levels"].items():
-        knob = knobs.get(name_of_knob)
-        if knob is None or level >= len(knob.levels):
-            continue
-        # By its place among the levels: what is a factor there is the same factor of what this scene has.
-        wanted = knob.levels[level].changes
-        if knob.physical or not any(key in own for key in wanted):
-            changes |= wanted
+    taken, left_out = [], []
+    for knob_name, key in levels.items():
+        knob = knobs.get(knob_name)
+        level = knob.level_of(key) if knob else None
+        if knob is None or level is None:
+            left_out.append(f"{knob_name} {key}, which this scene has not")
+        elif not knob.physical and any(k in own and own[k] != measured.get(k, ...) for k in level.changes):
+            left_out.append(f"{knob_name} {level.label}, for what is given")
+        else:
+            changes |= level.changes
+            taken.append(f"{knob_name} {level.label}")
     return Advice(
-        changes, chosen["setting"], chosen["promised"], tuple(record["quantities"]), chosen["ratio"],
-        tuple(_outside(record["parameters"], own, module)),
+        changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
+        tuple(left_out), tuple(_outside(measured, own, module)),
     )  # fmt: skip
 
 

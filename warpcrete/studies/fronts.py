@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class Error:
     @property
     def bound(self) -> float:
         """What the error is at most, interval included."""
-        return self.size + (self.interval if math.isfinite(self.interval) else 0.0)
+        return self.size + (math.inf if math.isnan(self.interval) else self.interval)
 
     @property
     def within_scatter(self) -> bool:
@@ -105,6 +104,5 @@ def cheapest_within(
 
 
 def worst(errors: Sequence[Error]) -> Error | None:
-    """The largest of the errors that are numbers, by what they are at most."""
-    known: list[Any] = [each for each in errors if math.isfinite(each.shift)]
-    return max(known, key=lambda each: each.bound) if known else None
+    """The largest of the errors, by what they are at most."""
+    return max(errors, key=lambda each: each.bound, default=None)

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from ..core.device import default_threads, find_device
-from ..core.errors import RunFolderError, refuse
+from ..core.errors import RunFolderError, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.provenance import provenance
-from ..methods import method_of
+from ..methods import Simulation, method_of
 from .fronts import cheapest_within, worst
 from .trade_report import write
-from .trading import COMBINED, GIVEN, REFERENCE, Promise, Tell, Trade
+from .trading import COMBINED, GIVEN, REFERENCE, Point, Promise, Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "progress")
 TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
@@ -70,14 +70,17 @@ def run_trade(
     trading = getattr(module, "trading", None)
     if trading is None:
         refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
-    given = module.scene.parameters(**module.scene.resolved(base or {}))
     scene = module.scene(**(base or {}))
+    given = module.scene.parameters(**module.scene.resolved(base or {}))
     parameters = {name: scene.parameters[name] for name in module.scene.resolved(base or {})}
     known = {each.name: each for each in method_of(scene).quantities}
     chosen = list(quantities or trading.quantities)
     for name in chosen:
         if name not in known:
             refuse("quantity", name, f"must be among {', '.join(known)}")
+        if trading.closed_form(given) and f"{name}_error" not in known:
+            refuse("quantity", name, "has no closed form to be compared with",
+                   f"take {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
     all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
     for name in knobs or ():
         if name not in all_knobs:
@@ -85,11 +88,11 @@ def run_trade(
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
         refuse("repeat", repeat, "goes by seeds, and nothing is random in this scene", "leave it out")
-    if repeat is not None and repeat < 1:
-        refuse("repeat", repeat, "must be 1 or more")
-    if not budget > 0 or not math.isfinite(budget):
-        refuse("budget", budget, "must be a finite number above 0 s")
+    if repeat is not None and repeat < (2 if seeded else 1):
+        refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
+    positive("budget", budget, "s")
     found = find_device(device)
+    Simulation(scene, device=device, precision=scene.precision, threads=threads)  # refuses what it cannot take
     check_new(out)
     out.mkdir(parents=True)
     record = {
@@ -118,6 +121,7 @@ def resume_trade(folder: Path, module: Any, *, budget: float = 1200.0, progress:
     now = provenance(find_device(trade.device), "float32", 0)["warpcrete"]
     if version != now:
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
+    positive("budget", budget, "s")
     trade.budget = budget
     _measure(trade, progress or (lambda phase, fraction, figures: None))
     return trade
@@ -132,29 +136,38 @@ def _measure(trade: Trade, tell: Tell) -> None:
     """All phases, as far as the budget goes; tables and figure are written whatever ends it."""
     given = trade.point(GIVEN, {})
     try:
-        if not trade.run(given, trade.seeds[:1], tell):
-            if given.failure:
-                refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
-            return
-        if trade.spent > 0 and 2 * given.cost > trade.budget:  # of a trade that goes on, little may be left to do
-            refuse(
-                "budget", f"{trade.budget:g} s", "is too short for a pair of runs",
-                f"one takes {given.cost:.3g} s; give {10 * given.cost:.2g} s or more",
-            )  # fmt: skip
-        missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
-        if missing:
-            refuse("quantity", missing[0], "is nothing that the scene as given comes to", "name another, or change it")
-        trade.run(given, trade.seeds, tell)
-        _one_at_a_time(trade, tell)
-        if not trade.exact:
-            _finest(trade, tell)
-        trade.judge()
-        _combine(trade, tell)
-        trade.judge()
-        _promise(trade, tell)
+        with trade.gap:
+            _phases(trade, given, tell)
+    except KeyboardInterrupt:
+        trade.interrupted = True
     finally:
         trade.judge()
         write(trade)
+
+
+def _phases(trade: Trade, given: Point, tell: Tell) -> None:
+    if not trade.run(given, trade.seeds[:1], tell):
+        if given.failure:
+            refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
+        return
+    needed = 2 * len(trade.seeds) * given.cost
+    if trade.spent > 0 and needed > trade.budget:  # of a trade that goes on, little may be left to do
+        refuse(
+            "budget", f"{trade.budget:.3g} s", "is too short for a pair of runs" + " of every seed" * trade.has_seeds,
+            f"one takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
+        )  # fmt: skip
+    missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
+    if missing:
+        refuse("quantity", missing[0], "is nothing that the scene as given comes to", "name another, or change it")
+    if not trade.run(given, trade.seeds, tell):
+        return
+    _one_at_a_time(trade, tell)
+    if not trade.exact:
+        _finest(trade, tell)
+    trade.judge()
+    _combine(trade, tell)
+    trade.judge()
+    _promise(trade, tell)
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
@@ -193,13 +206,14 @@ def _finest(trade: Trade, tell: Tell) -> None:
         if not saved:
             break
         levels[max(saved, key=lambda name: saved[name])].pop()
-    point = trade.point(REFERENCE, {name: usable[-1] for name, usable in levels.items()})
-    if point.origin == REFERENCE and not trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
-        # As given is what there is to go by.
-        trade.points.remove(point)
+    before = len(trade.points)
+    point = trade.point(REFERENCE, top)
+    if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
+        trade.record = {**trade.record, "finest": top}
+    else:  # as given is what there is to go by
+        del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
-    trade.record = {**trade.record, "finest": {name: usable[-1] for name, usable in levels.items()}}
 
 
 def _combine(trade: Trade, tell: Tell) -> None:
@@ -216,12 +230,14 @@ def _combine(trade: Trade, tell: Tell) -> None:
 
 
 def _promise(trade: Trade, tell: Tell) -> None:
-    """The cheapest point within each wanted error, tried with fresh seeds."""
+    """The cheapest point within each wanted error, tried with fresh seeds; one that fails with those gives way."""
     fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH)] if trade.has_seeds else []
     for target in TARGETS:
         within = [p for p in trade.measured if trade.promised(p) <= target and not p.suspect]
-        point = min(within, key=lambda p: p.cost, default=None)
-        found = None
-        if point is not None and fresh and trade.run(point, fresh, tell):
-            found = worst(trade.errors_of(point, fresh))
-        trade.promises.append(Promise(target, point, found))
+        promise = Promise(target, None)
+        for point in sorted(within, key=lambda p: p.cost):
+            tried = bool(fresh) and trade.run(point, fresh, tell)
+            if not point.failure and not point.suspect:
+                promise = Promise(target, point, worst(trade.errors_of(point, fresh)) if tried else None)
+                break
+        trade.promises.append(promise)

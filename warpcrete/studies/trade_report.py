@@ -14,7 +14,7 @@ from .trading import COMBINED, GIVEN, REFERENCE, Point, Trade
 
 def percent(error: Error | None) -> str:
     """An error with its interval, as people read it."""
-    if error is None:
+    if error is None or not math.isfinite(error.shift):
         return "-"
     interval = f" +- {100 * error.interval:.2g}" if math.isfinite(error.interval) and error.interval > 0 else ""
     word = " (within scatter)" if error.within_scatter else ""
@@ -108,7 +108,7 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
     return {
         "target": promise.target,
         "setting": None if point is None else trade.label(point),
-        "levels": None if point is None else point.levels,
+        "levels": None if point is None else trade.keys_of(point),
         "ratio": None if point is None else point.cost / trade.given.cost,
         "parameters": None if point is None else point.parameters,
         "promised": None if point is None else trade.promised(point),

@@ -109,6 +109,8 @@ class Trade:
         self.spent = 0.0
         self.budget = math.inf
         self.interrupted = False
+        self.gap = StopAtSample([])
+        """Hears a Ctrl-C between runs."""
 
     def __repr__(self) -> str:
         done = sum(bool(point.results) for point in self.points)
@@ -144,13 +146,19 @@ class Trade:
     @property
     def measured(self) -> list[Point]:
         """Points that have a cost and an error."""
-        return [p for p in self.points if p.worst is not None and math.isfinite(p.cost) and not p.failure]
+        return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
+                and math.isfinite(p.worst.bound)]  # fmt: skip
 
     def label(self, point: Point) -> str:
         """What a point differs by from the scene as given."""
         parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
                  if knob.name in point.levels]  # fmt: skip
         return ", ".join(parts) or GIVEN
+
+    def keys_of(self, point: Point) -> dict[str, str]:
+        """Levels of a point as they are called in scenes of any numbers."""
+        chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
+        return {name: level.key or level.label for name, level in chosen.items()}
 
     # Points.
 
@@ -213,10 +221,11 @@ class Trade:
             folder = self._folder(point, seed)
             if self._known(point, seed, folder):
                 continue
-            if self.interrupted:
+            if self.interrupted or self.gap.asked:
+                self.interrupted = True
                 return False
             left = until * self.budget - self.spent
-            if point is not self.given and self.expected(point) > left:
+            if not (point is self.given and not point.results) and self.expected(point) > left:
                 if not point.results:
                     point.failure = f"not run: takes some {self.expected(point):.2g} s, {max(left, 0):.2g} s were left"
                 return False
@@ -224,7 +233,11 @@ class Trade:
             tell(self.label(point), min(self.spent / self.budget, 1.0), {})
             self._run(point, seed, folder)
             self.spent += time.perf_counter() - begun
-        return not point.failure and not self.interrupted
+        return self.complete(point, seeds)
+
+    def complete(self, point: Point, seeds: Sequence[int]) -> bool:
+        """Every run is there."""
+        return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Point, seed: int) -> Path:
         changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, ...) != v}
@@ -250,17 +263,18 @@ class Trade:
 
     def _run(self, point: Point, seed: int, folder: Path) -> None:
         try:
-            if not self.has_seeds:
-                # The only run must not be charged for kernels that it is the first to compile or load.
+            if len(self.seeds) < 3 and not point.results:
+                # One run of few, of which the median is no help, would be charged for loading kernels.
                 warm = self._simulation(point, seed)
                 warm.prepare()
                 warm.stepper.take(1)
                 warm.release()
             simulation = self._simulation(point, seed, recorders=recorders_of(folder, self.module.check, {}))
             scene = simulation.scene
-            with StopAtSample([simulation]):
+            with StopAtSample([simulation]) as stop:
                 (outcome,) = method_of(scene).run_many([simulation], [None], lambda phase, fraction: None)
-        except WarpcreteError as error:
+            self.interrupted |= stop.asked
+        except (WarpcreteError, KeyboardInterrupt) as error:
             outcome = error
         if isinstance(outcome, Run) and outcome.finished:
             point.results[seed] = read_json(folder / "result.json")
@@ -285,9 +299,14 @@ class Trade:
         found = []
         for each in self.quantities:
             values = point.values(each.name, seeds)
+            if not values and any(seed in point.results for seed in seeds):
+                found.append(Error(each.name, math.inf, 0.0))
+                continue
             if not values:
                 continue
-            if self.exact:
+            if len(values) < sum(seed in point.results for seed in seeds):
+                found.append(Error(each.name, math.inf, 0.0))  # a run without it: it is no property of the setting
+            elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
                 found.append(Error(each.name, float(np.mean(errors)), scatter))
@@ -304,13 +323,13 @@ class Trade:
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
-                       and p.results and not p.failure), None)  # fmt: skip
+                       and self.complete(p, self.seeds)), None)  # fmt: skip
         if point is None or finest is None or not point.results or point.failure:
             return math.inf
         found = []
         for each in self.quantities:
             values, reference = (p.values(each.name, self.seeds) for p in (point, finest))
-            if not values or not reference:
+            if len(values) < len(self.seeds) or len(reference) < len(self.seeds):
                 return math.inf
             error = difference(each.name, values, reference)
             found.append(0.0 if error.within_scatter else error.size)
