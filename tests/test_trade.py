@@ -8,6 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
+from conftest import devices
 from pumping import command
 
 from warpcrete.core.errors import RunFolderError, SceneError
@@ -17,7 +18,7 @@ from warpcrete.scenes import modules
 from warpcrete.studies.advice import advise
 from warpcrete.studies.fronts import Error, cheapest_within, difference, front, student, worst
 from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point
+from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point, Trade
 
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 COARSE = dict(spacing=0.02)
@@ -133,9 +134,17 @@ def test_a_trade_that_is_started_again_uses_its_runs(flow_trade):
     assert {path: path.stat().st_mtime_ns for path in flow_trade.folder.rglob("result.json")} == times
 
 
-def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(device, tmp_path):
-    trade = run_trade("pipe", pipe, base=PIPE, out=tmp_path / "t", budget=600.0, device=device, threads=1, repeat=2,
-                      knobs=["time step", "coarse-graining"], quantities=["end_pressure"])  # fmt: skip
+@pytest.fixture(scope="module", params=devices())
+def element_trade(request, tmp_path_factory):
+    out = tmp_path_factory.mktemp("trade") / "pipe"
+    run_trade("pipe", pipe, base=PIPE, out=out, knobs=["time step", "coarse-graining"], budget=600.0,
+              device=request.param, threads=1, repeat=2, quantities=["end_pressure"])  # fmt: skip
+    return out
+
+
+def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_trade, tmp_path):
+    shutil.copytree(element_trade, tmp_path / "t")
+    trade = resume_trade(tmp_path / "t", pipe)
     assert trade.seeds == [0, 1] and not trade.exact
     finest = trade.reference
     assert finest.origin == REFERENCE and finest.levels == {"time step": 4}
@@ -156,14 +165,16 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(device, tm
     assert all({2, 3, 4} <= set(promise.point.results) for promise in tried)
 
 
-def test_a_budget_is_kept_and_what_it_left_out_is_said(tmp_path):
-    trade = run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=0.6, device="cpu", threads=1,
-                      knobs=["spacing"])  # fmt: skip
-    assert trade.spent < 0.6 + max(p.cost for p in trade.points if p.results) + 0.5  # of the run that was under way
+def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(Trade, "expected", lambda self, point: 1e9)
+        trade = run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=600.0, device="cpu", threads=1,
+                          knobs=["spacing"])  # fmt: skip
     left_out = [p for p in trade.points if not p.results]
-    assert left_out and all(p.failure.startswith("not run: takes some") for p in left_out)
+    assert len(left_out) == len(trade.points) - 1 > 0
+    assert all(p.failure.startswith("not run: takes some 1e+09 s") for p in left_out)
     assert "not run" in (tmp_path / "t" / "trade.md").read_text()
-    again = resume_trade(tmp_path / "t", channel, budget=120.0)
+    again = resume_trade(tmp_path / "t", channel, budget=600.0)
     assert all(p.results for p in again.points)
 
 
@@ -290,14 +301,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(flow_tr
     assert advice.changes.get("time_step", default) == promise.point.parameters.get("time_step", default)
 
 
-@pytest.fixture(scope="module")
-def element_trade(tmp_path_factory):
-    out = tmp_path_factory.mktemp("trade") / "pipe"
-    run_trade("pipe", pipe, base=PIPE, out=out, knobs=["time step"], budget=600.0, device="cpu", threads=1, repeat=2,
-              quantities=["end_pressure"])  # fmt: skip
-    return out
-
-
+@pytest.mark.slow
 def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
@@ -305,7 +309,6 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     (gone,) = [p for p in trade.points if p.levels == {"time step": 1}]
     for seed in trade.seeds:
         (trade._folder(gone, seed) / "result.json").unlink()
-    from warpcrete.studies.trading import Trade
 
     def interrupted(self, point, seed, folder):
         self.interrupted = True
@@ -323,6 +326,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     assert partial.errors and partial not in again.measured and math.isinf(again.promised(partial))
 
 
+@pytest.mark.slow
 def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
