@@ -3,12 +3,11 @@
 import dataclasses
 import json
 import os
-import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import trimesh
 from click.testing import CliRunner
@@ -279,28 +278,13 @@ def test_walls_move_again_after_a_settling_that_was_cut():
 # Processes.
 
 
-def children(pid: int) -> list[int]:
-    """Processes that a process has begun, and theirs."""
-    found = []
-    for folder in os.listdir("/proc"):
-        if folder.isdigit():
-            try:
-                parent = int(Path(f"/proc/{folder}/stat").read_text().rpartition(")")[2].split()[1])
-            except (OSError, IndexError):
-                continue
-            if parent == pid:
-                found += [int(folder), *children(int(folder))]
-    return found
-
-
-def alive(pid: int) -> bool:
+def alive(process: psutil.Process) -> bool:
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
         return False
 
 
-@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="looks for processes in /proc")
 def test_workers_end_with_a_study_that_is_killed(tmp_path):
     study = subprocess.Popen(
         [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.2", "0.3",
@@ -310,9 +294,9 @@ def test_workers_end_with_a_study_that_is_killed(tmp_path):
     )  # fmt: skip
     try:
         assert wait_until(lambda: len(list((tmp_path / "study").glob("*/series.csv"))) == 2, 120)
-        workers = children(study.pid)
+        workers = psutil.Process(study.pid).children(recursive=True)
         assert len(workers) >= 2
-        study.send_signal(signal.SIGKILL)
+        study.kill()
         study.wait(10)
         assert wait_until(lambda: not any(map(alive, workers)), 20), [w for w in workers if alive(w)]
     finally:
