@@ -250,17 +250,19 @@ def test_a_scene_function_is_traded_from_python(tmp_path):
         threads=1,
         **COARSE,
     )
-    assert trade.scene_name == "channel" and trade.given.results and trade.base == COARSE
+    assert trade.scene_name == "channel" and trade.given.results
+    assert trade.base == COARSE | {"tolerated_error": 0.2} and trade.record["parameters"].items() >= COARSE.items()
     with pytest.raises(SceneError, match="must be a scene function"):
         warpcrete.trade(lambda: None)
 
 
 def test_settings_for_an_accuracy(flow_trade):
-    best = {p.target: flow_trade.promised(p.point) for p in flow_trade.promises if p.point is not None}
+    best = {p.target: p.bound for p in flow_trade.promises if p.point is not None}
     advice = advise(flow_trade.folder, "channel", channel, COARSE, 0.2)
     (promise,) = [p for p in flow_trade.promises if p.target == 0.2]
     changed = {k: v for k, v in promise.point.parameters.items() if COARSE.get(k) != v}
     assert {k: v for k, v in advice.changes.items() if channel.scene.parameters().__dict__[k] != v} == changed
+    assert advice.changes["tolerated_error"] == 0.2 and "twice the flow" in advice.tried
     assert advice.promised == best[0.2] <= 0.2 and advice.outside == () and advice.quantities[0] == "pressure"
     assert advice.ratio == pytest.approx(promise.point.cost / flow_trade.given.cost)
     # What somebody chose stays; where the scene is another one, that is said.

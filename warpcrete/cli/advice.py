@@ -1,4 +1,4 @@
-"""`warpcrete run SCENE --accuracy 5% --trade FOLDER`: settings by what a trade measured, and how far that carries."""
+"""`warpcrete run SCENE --accuracy 5% [--trade FOLDER]`: settings by what a trade measured, and how far that carries."""
 
 from __future__ import annotations
 
@@ -7,33 +7,43 @@ from typing import Any
 
 import click
 
+from ..core.device import find_device
 from ..core.errors import RunFolderError
-from ..studies.advice import advise
+from ..studies.advice import advise, shipped
 
 
 def chosen(
-    name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None
+    name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None, device: str | None
 ) -> dict[str, Any]:
-    """Parameters to change for the wanted accuracy; says on stderr what, what to expect of it, and where not."""
+    """Parameters to change for the wanted accuracy, by the trade in a folder or else by a shipped one.
+
+    Says on stderr what was chosen, what to expect of it, and where not.
+    """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': means nothing without --accuracy, as --accuracy 5%")
-    if trade is None:
-        raise click.UsageError(
-            f"accuracy = {accuracy!r}: needs --trade FOLDER; make one with 'warpcrete trade {name} --budget 20min'"
-        )
-    if not (trade / "trade.json").is_file():
+    if trade is not None and not (trade / "trade.json").is_file():
         raise RunFolderError(f"trade = '{trade}': is no trade's folder (it holds no trade.json)")
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100
     except ValueError:
         raise click.UsageError(f"accuracy = {accuracy!r}: must be per cent, as 5%") from None
-    found = advise(trade, name, module, parameters, part)
+    source = trade or shipped(name, module, parameters, find_device(device).is_cuda)
+    if source is None:
+        raise click.UsageError(
+            f"accuracy = {accuracy!r}: needs --trade FOLDER, since no trade of {name} comes with warpcrete; make one "
+            f"with 'warpcrete trade {name} --budget 20min'"
+        )
+    found = advise(source, name, module, parameters, part)
     quantities = " and ".join(found.quantities)
+    if trade is None:
+        click.echo(f"note: by the shipped trade {source.stem!r}, measured on {found.machine}", err=True)
     if found.left_out:
         click.echo(f"note: {found.setting}, without {'; '.join(found.left_out)}: nothing is promised of that", err=True)
     else:
         click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-                   f"in {found.ratio:.2g} of the time", err=True)  # fmt: skip
+                   f"in {found.ratio:.2g} of the time ({found.time:.2g} s there)", err=True)  # fmt: skip
+    if found.tried:
+        click.echo(f"note: holds for {', '.join(found.tried)}, too", err=True)
     if found.outside:
         click.echo(f"note: not measured with {', '.join(found.outside)}: there the error may be larger", err=True)
     return found.changes

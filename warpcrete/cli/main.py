@@ -93,7 +93,7 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         if resume is None:
             parameters = {key: value for key, value in given.items() if key not in common}
             if accuracy is not None or trade is not None:
-                changes = _part("advice").chosen(name, module, parameters, accuracy, trade)
+                changes = _part("advice").chosen(name, module, parameters, accuracy, trade, settings["device"])
                 if "precision" not in given:
                     settings["precision"] = changes.pop("precision", settings["precision"])
                 parameters = module.scene.resolved(parameters) | changes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,17 @@ def report(study: Study) -> None:
     click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
 
 
+def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that take one value each, taken out of `options` and converted."""
+    found = {}
+    for name in kinds.keys() & options.keys():
+        values = options.pop(name)
+        if len(values) != 1:
+            raise click.UsageError(f"--{name}: takes one value")
+        found[name] = converted(name, values[0], kinds[name])
+    return found
+
+
 def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
     """Flags and settings of the study, taken out of `options`, which then holds the scene's parameters."""
     settings: dict[str, Any] = {}
@@ -102,12 +114,7 @@ def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
         if values:
             raise click.UsageError(f"--{name}: takes no value")
         settings[name] = values is not None
-    for name, kind in SETTINGS.items():
-        values = options.pop(name, None)
-        if values is not None:
-            if len(values) != 1:
-                raise click.UsageError(f"--{name}: takes one value")
-            settings[name] = converted(name, values[0], kind)
+    settings |= single(options, SETTINGS)
     if settings.get("processes", 1) < 1:
         raise click.UsageError("--processes: must be 1 or more")
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:

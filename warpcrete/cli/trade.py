@@ -15,7 +15,7 @@ from ..studies.trade import resume_trade, run_trade
 from ..studies.trade_report import table
 from ..studies.trading import Trade
 from .run import INTERRUPTED
-from .study import converted, parameter_values, parsed
+from .study import parameter_values, parsed, single
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 ONE = {"budget": str, "repeat": int, "out": Path, "resume": Path, "device": str, "threads": int}
@@ -35,13 +35,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Make, or go on with, a trade, and print its tables."""
     scene, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
-    settings: dict[str, Any] = {}
-    for name, kind in ONE.items():
-        values = options.pop(name, None)
-        if values is not None:
-            if len(values) != 1:
-                raise click.UsageError(f"--{name}: takes one value")
-            settings[name] = converted(name, values[0], kind)
+    settings = single(options, ONE)
     lists = {name: options.pop(name) for name in SEVERAL if name in options}
     for name, values in lists.items():
         if not values:

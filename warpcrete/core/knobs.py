@@ -19,6 +19,9 @@ class Level:
     """Time that is expected over that of the other levels of the knob; only plans go by it, before it is measured."""
     key: str = ""
     """What it is called in a scene of other numbers: a factor, where `label` is a number. Default: the label."""
+    converted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Of quantities that have another meaning here: (offset, factor), to be taken as offset + factor (value - offset).
+    """
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Knob:
     """From the coarsest to the finest; one of them is the scene as it is given."""
     physical: bool = False
     """Its parameters are properties of the concrete, of which a coarser level makes others."""
+    chosen: bool = True
+    """Settings for a wanted accuracy may have it; if not, it is measured alone and that is all."""
 
     def level_of(self, key: str) -> Level | None:
         """The level that goes by a key in scenes of any numbers; None where this scene has it not."""
@@ -62,3 +67,7 @@ class Trading:
     """That errors are of, unless others are named."""
     closed_form: Callable[[Any], bool] = lambda given: False
     """Whether theory is exact for a scene of these parameters; results then have an entry `NAME_error` beside each."""
+    variants: Callable[[Any], Mapping[str, Mapping[str, Any]]] = lambda given: {}
+    """Parameters of other scenes, by what sets them apart, on which settings for a wanted accuracy are tried, too."""
+    tolerance: str = ""
+    """Parameter of the scene that says how much error its checks accept; empty if they ask for none."""

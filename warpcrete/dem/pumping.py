@@ -221,6 +221,7 @@ class PipeParameters(
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)
 FACETS = (16, 32, 64, 128, 256)
 SPHERES = (1, 2, 4, 8, 16)
+LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
@@ -250,6 +251,14 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
         faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in sorted({*FACETS, given.facets})]
         yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
     yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if not given.is_bend:
+        # What the wall carries goes with the length, if the stress there does not change along it.
+        pushed = given.plug_pressure if given.plug != "none" else 0.0
+        yield Knob("length", tuple(
+            Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
+                  {name: (pushed, 1 / f) for name in ("plateau_pressure", "peak_pressure", "end_pressure")})
+            for f in LENGTHS
+        ), chosen=False)  # fmt: skip
     if given.settle > 0:
         yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from ..core.footprint import footprint
 from ..core.method import results_of
 from ..core.provenance import provenance
 from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
@@ -194,6 +195,11 @@ class ElementSimulation(Simulation):
         """The arrays of a `state_dict`; `join` and `go_on` complete a resumption."""
         self.state = restored(self.model, state["state"])
 
+    def _memory(self) -> float:
+        """What the run holds on the device [B]; of a batch, what falls to its spheres."""
+        batch = self.stepper.batch
+        return footprint(stepper=self.stepper)["stepper"] * self.state.sphere_count / max(batch.sphere_count, 1)
+
     def go_on(self, state: dict[str, Any]) -> None:
         """Sampler, watch and packing of a `state_dict`."""
         self._begin()
@@ -254,6 +260,7 @@ class ElementSimulation(Simulation):
             "settling_time": quantity(self._spent.get("settling", 0.0), "s"),
             "steps_per_second": quantity(steps / max(running, 1e-9), "1/s"),
             "sphere_steps_per_second": quantity(steps * state.sphere_count / max(running, 1e-9), "1/s"),
+            "memory": quantity(self._memory(), "B"),
         }
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)

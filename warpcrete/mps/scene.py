@@ -89,6 +89,11 @@ class FlowSettings(Declared):
     precision: Annotated[str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 5e-3
     seed: Annotated[int, "random seed, of the aggregate", Within(0)] = 0
+    tolerated_error: Annotated[
+        float | None,
+        "against theory, that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
+        Within(0, 1),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

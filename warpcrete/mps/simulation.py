@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.footprint import footprint
 from ..core.method import results_of
 from ..core.provenance import arrays_hash, provenance
 from ..core.run_loop import Run, Simulation
@@ -158,6 +159,7 @@ class FluidSimulation(Simulation):
             "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
             "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
             "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
+            "memory": quantity(footprint(flow=flow)["flow"], "B"),
         }
         result["state_hash"] = arrays_hash(flow.state_arrays())
         result["provenance"] = provenance(self.device, self.precision, scene.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ from ..core.errors import RunFolderError, refuse
 from ..core.files import read_json
 from ..core.parameters import declared_fields
 
-NO_MATTER = ("seed", "precision")
+NO_MATTER = ("seed", "precision", "tolerated_error")
 """Parameters in which a scene may differ from that of a trade."""
+SHIPPED = Path(__file__).parents[1] / "measured"
+"""Folder of the trades of standard scenes that come with the package, without their single points."""
 
 
 @dataclass(frozen=True)
@@ -32,20 +35,49 @@ class Advice:
     """What belongs to the setting, but could not be set: without it nothing is promised."""
     outside: tuple[str, ...]
     """In what the scene differs from the one that was measured: the promise was not tried there."""
+    tried: tuple[str, ...]
+    """Other scenes on which it was tried."""
+    machine: str
+    """What times were measured on."""
+    time: float
+    """Of a run in the trade's scene on that machine [s]."""
 
 
-def advise(folder: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
-    """Cheapest settings that the trade in `folder` promises to err by no more than `accuracy` (1 is all).
+def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
+    """The shipped trade of a scene that is nearest to what is `given`: of the same scene function, then least
+    parameters apart, then of the same kind of machine; None where there is none.
+    """
+    own = module.scene.resolved(given)
+    found = []
+    for path in sorted(SHIPPED.glob("*.json")):
+        record = read_json(path)
+        if record["scene"] == name:
+            apart = len(_outside(record["parameters"], own, module))
+            found.append((apart, record["device"].startswith("cuda") != on_gpu, str(path)))
+    return Path(min(found)[2]) if found else None
 
-    `given` are the parameters of the scene `name` of `module` that somebody chose; of those only properties of the
-    concrete change, as the aggregate's sizes do when it is coarsened. Raises :class:`SceneError` for an accuracy that
-    is none or that the trade did not reach, :class:`RunFolderError` for a folder that holds no trade of this scene.
+
+def compact(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What a shipped trade keeps of a trade.json."""
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
+    return {name: record[name] for name in kept} | version
+
+
+def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
+    """Cheapest settings that a trade promises to err by no more than `accuracy` (1 is all).
+
+    `trade` is its folder, or the file of a shipped one; `given` are the parameters of the scene `name` of `module` that
+    somebody chose; of those only properties of the concrete change, as the aggregate's sizes do when it is coarsened.
+    Raises :class:`SceneError` for an accuracy that is none or that the trade did not reach, :class:`RunFolderError`
+    for what holds no trade of this scene.
     """
     if not 0 < accuracy < 1:
         refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")
-    record = read_json(folder / "trade.json")
+    file = trade if trade.suffix == ".json" else trade / "trade.json"
+    record = read_json(file)
     if record.get("scene") != name:
-        raise RunFolderError(f"trade = '{folder}': is of the scene {record.get('scene')!r}, not {name!r}")
+        raise RunFolderError(f"trade = '{trade}': is of the scene {record.get('scene')!r}, not {name!r}")
     try:
         promises = [p for p in record.get("promises", []) if p["setting"] is not None]
         best = min((float(p["promised"]) for p in promises), default=None)
@@ -53,10 +85,11 @@ def advise(folder: Path, name: str, module: Any, given: Mapping[str, Any], accur
         chosen = min(within, key=lambda p: float(p["ratio"]), default=None)
         levels = dict(chosen["levels"]) if chosen else {}
         measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
+        machine = str(record.get("machine", ""))
     except (KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
+        raise RunFolderError(f"'{file}': holds no trade ({type(error).__name__}: {error})") from error
     if best is None:
-        raise RunFolderError(f"trade = '{folder}': promises nothing yet; let it go on with 'warpcrete trade --resume'")
+        raise RunFolderError(f"trade = '{trade}': promises nothing yet; let it go on with 'warpcrete trade --resume'")
     if chosen is None:
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: that trade promises {100 * best:.2g} % at best",
                "ask for that, or let the trade go on")  # fmt: skip
@@ -74,9 +107,13 @@ def advise(folder: Path, name: str, module: Any, given: Mapping[str, Any], accur
         else:
             changes |= level.changes
             taken.append(f"{knob_name} {level.label}")
+    if module.trading.tolerance and module.trading.tolerance not in own:
+        changes[module.trading.tolerance] = accuracy
     return Advice(
         changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
         tuple(left_out), tuple(_outside(measured, own, module)),
+        tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
+        float(chosen.get("time", math.nan)),
     )  # fmt: skip
 
 

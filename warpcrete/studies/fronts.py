@@ -69,6 +69,15 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
     return Error(quantity, shift, student(freedom) * math.sqrt(spread) / size)
 
 
+def next_within(shifts: Sequence[float]) -> float:
+    """Size that the next of such errors stays within with 95 %, if they are normal; one alone bounds itself."""
+    values = np.asarray(shifts, float)
+    if len(values) < 2:
+        return float(np.abs(values).max(initial=0.0))
+    spread = float(values.std(ddof=1)) * math.sqrt(1 + 1 / len(values))
+    return abs(float(values.mean())) + student(len(values) - 1) * spread
+
+
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Places of the (cost, error) pairs that no other one beats in both, by rising cost."""
     order = sorted(range(len(points)), key=lambda k: points[k])

@@ -18,13 +18,11 @@ from ..core.errors import RunFolderError, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.provenance import provenance
 from ..methods import Simulation, method_of
-from .fronts import cheapest_within, worst
+from .fronts import Error, cheapest_within, worst
 from .trade_report import write
-from .trading import COMBINED, GIVEN, REFERENCE, Point, Promise, Tell, Trade
+from .trading import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise, Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "progress")
-TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Errors for which settings are sought."""
 FRESH = 3
 """Seeds that a promise is tried with, besides those that it was made from."""
 ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
@@ -183,7 +181,7 @@ def _finest(trade: Trade, tell: Tell) -> None:
     No knob is set coarser than the scene has it.
     """
     levels = {}
-    for knob in trade.knobs:
+    for knob in trade.chosen_knobs:
         first = trade.level_as_given(knob)
         usable = [k for k in range(first, len(knob.levels)) if math.isfinite(trade.shift(knob, k))]
         if usable:
@@ -220,7 +218,7 @@ def _combine(trade: Trade, tell: Tell) -> None:
     """For each wanted error the levels that should stay within it at least cost."""
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
-        for knob in trade.knobs
+        for knob in trade.chosen_knobs
         if any(math.isfinite(trade.shift(knob, k)) for k in range(len(knob.levels)))
     }
     wanted = [cheapest_within(choices, target) for target in TARGETS]
@@ -230,14 +228,46 @@ def _combine(trade: Trade, tell: Tell) -> None:
 
 
 def _promise(trade: Trade, tell: Tell) -> None:
-    """The cheapest point within each wanted error, tried with fresh seeds; one that fails with those gives way."""
+    """The cheapest point within each wanted error, tried with fresh seeds and in variants of the scene.
+
+    One that fails with those, or errs by more there, gives way.
+    """
+    variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
+    chosen = {knob.name for knob in trade.chosen_knobs}
     fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH)] if trade.has_seeds else []
     for target in TARGETS:
-        within = [p for p in trade.measured if trade.promised(p) <= target and not p.suspect]
+        within = [p for p in trade.measured
+                  if trade.promised(p) <= target and not p.suspect and chosen.issuperset(p.levels)]  # fmt: skip
         promise = Promise(target, None)
         for point in sorted(within, key=lambda p: p.cost):
             tried = bool(fresh) and trade.run(point, fresh, tell)
-            if not point.failure and not point.suspect:
-                promise = Promise(target, point, worst(trade.errors_of(point, fresh)) if tried else None)
+            if point.failure or point.suspect:
+                continue
+            carried, bound = _carried(trade, point, variants, target, tell)
+            if bound <= target:
+                found = worst(trade.errors_of(point, fresh)) if tried else None
+                promise = Promise(target, point, found, carried, bound)
                 break
         trade.promises.append(promise)
+
+
+def _carried(
+    trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
+) -> tuple[dict[str, Error | None], float]:
+    """Largest error of a point in each variant of the scene, as far as they are needed, and what it promises then."""
+    found: dict[str, Error | None] = {}
+    points: list[Point] = []
+    bound = trade.promised(point)
+    for variant, changes in variants.items():
+        other = trade.carried(point, variant, changes)
+        trade.run(other, trade.seeds, tell)
+        if not other.results and not other.failure.startswith("failed"):
+            continue  # no time was left
+        sound = bool(other.results) and not other.suspect
+        error = worst(trade.errors_of(other, trade.seeds)) if sound else None
+        found[variant] = error
+        if error is not None:
+            points.append(other)
+            if error.size > target:
+                return found, error.size
+    return found, max(bound, trade.carried_bound(point, points) if points else 0.0)

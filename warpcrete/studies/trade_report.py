@@ -31,13 +31,14 @@ def table(trade: Trade) -> str:
     """Markdown: every setting with its cost and errors, then what to set for a wanted error."""
     against = "the closed form" if trade.exact else "the finest setting reached"
     best = on_front(trade)
-    head = ["setting", "time [s]", "over as given", "work [million particle-steps]"]
+    head = ["setting", "time [s]", "over as given", "work [million particle-steps]", "memory [MB]"]
     head += [f"{each.title} [{shown(each.unit)[1]}]" for each in trade.quantities]
     head += [f"error of {each.title}" for each in trade.quantities] + ["runs", "remarks"]
     lines = [f"Errors against {against}.", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for point in sorted(trade.points, key=lambda p: p.cost if math.isfinite(p.cost) else math.inf):
         name = trade.label(point) + (f" ({REFERENCE})" if point.origin == REFERENCE else "")
-        cells = [name, _number(point.cost), _number(point.cost / trade.given.cost), _number(point.work / 1e6)]
+        cells = [name, _number(point.cost), _number(point.cost / trade.given.cost), _number(point.work / 1e6),
+                 _number(point.memory / 1e6)]
         by_name = {error.quantity: error for error in point.errors}
         for each in trade.quantities:
             values = point.values(each.name, trade.seeds)
@@ -53,13 +54,13 @@ def table(trade: Trade) -> str:
 def promises(trade: Trade) -> list[str]:
     """Lines of the table of settings for wanted errors."""
     lines = [
-        "| error wanted | setting | time over as given | promised | found with fresh seeds |",
-        "|---|---|---|---|---|",
+        "| error wanted | setting | time over as given | promised | found with fresh seeds | in other scenes |",
+        "|---|---|---|---|---|---|",
     ]
     for promise in trade.promises:
         point = promise.point
         if point is None:
-            lines.append(f"| {100 * promise.target:g} % | none that was measured stays within | - | - | - |")
+            lines.append(f"| {100 * promise.target:g} % | none that was measured stays within | - | - | - | - |")
             continue
         found = percent(promise.found) if promise.found else "not tried" if trade.has_seeds else "nothing is random"
         ratio = point.cost / trade.given.cost
@@ -67,8 +68,10 @@ def promises(trade: Trade) -> list[str]:
             f"{100 * promise.target:g} %",
             trade.label(point),
             f"{ratio:.3g}",
-            f"{100 * trade.promised(point):.2g} %",
+            f"{100 * promise.bound:.2g} %",
             found,
+            "; ".join(f"{name}: {percent(error) if error else 'does not run'}" for name, error in promise.carried.items())
+            or "not tried",
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
@@ -81,7 +84,7 @@ def write(trade: Trade) -> None:
     with whole_file(trade.folder / "trade.md") as partial:
         partial.write_text(f"# Speed against accuracy: {trade.scene_name}\n\n{table(trade)}\n")
     _write_csv(trade)
-    write_json(trade.folder / "trade.json", {**trade.record, "points": [_recorded(trade, p) for p in trade.points],
+    write_json(trade.folder / "trade.json", {**trade.record, "machine": trade.machine, "points": [_recorded(trade, p) for p in trade.points],
                                              "promises": [_promised(trade, p) for p in trade.promises]})  # fmt: skip
     if trade.measured:
         with whole_file(trade.folder / "trade.png") as partial:
@@ -95,6 +98,7 @@ def _recorded(trade: Trade, point: Point) -> dict[str, Any]:
         "parameters": point.parameters,
         "time": {"value": point.cost, "unit": "s"},
         "particle_steps": point.work,
+        "memory": {"value": point.memory, "unit": "B"},
         "values": {each.name: point.values(each.name, trade.seeds) for each in trade.quantities},
         "errors": {e.quantity: {"shift": e.shift, "interval": e.interval} for e in point.errors},
         "front": any(point is one for one in on_front(trade)),
@@ -110,9 +114,12 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
         "setting": None if point is None else trade.label(point),
         "levels": None if point is None else trade.keys_of(point),
         "ratio": None if point is None else point.cost / trade.given.cost,
+        "time": None if point is None else point.cost,
         "parameters": None if point is None else point.parameters,
-        "promised": None if point is None else trade.promised(point),
+        "promised": None if point is None else promise.bound,
         "found": None if found is None else {"shift": found.shift, "interval": found.interval},
+        "carried": {name: None if e is None else {"quantity": e.quantity, "shift": e.shift}
+                    for name, e in promise.carried.items()},
     }
 
 
@@ -122,10 +129,10 @@ def _write_csv(trade: Trade) -> None:
         columns = [f"{each.name}{part}" for each in trade.quantities for part in ("", "_error", "_interval")]
         units = {each.name: each.unit for each in trade.quantities}
         head = [f"{c} [{units[c]}]" if c in units else c for c in columns]
-        writer.writerow(["setting", "origin", "time [s]", "particle_steps", *head, "runs", "failure"])
+        writer.writerow(["setting", "origin", "time [s]", "particle_steps", "memory [B]", *head, "runs", "failure"])
         for point in trade.points:
             by_name = {error.quantity: error for error in point.errors}
-            row: list[Any] = [trade.label(point), point.origin, point.cost, point.work]
+            row: list[Any] = [trade.label(point), point.origin, point.cost, point.work, point.memory]
             for each in trade.quantities:
                 values, error = point.values(each.name, trade.seeds), by_name.get(each.name)
                 row.append(sum(values) / len(values) if values else "")

@@ -25,10 +25,12 @@ from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
 from ..record.recorders import recorders_of
 from .cases import word_of
-from .fronts import Error, difference, worst
+from .fronts import Error, difference, next_within, worst
 
 FAILED = "failed.txt"
-GIVEN, REFERENCE, COMBINED = "as given", "finest", "combined"
+TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
+"""Errors for which settings are sought."""
+GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Where a point comes from, besides a knob."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
@@ -48,10 +50,18 @@ class Point:
     failure: str = ""
     """What ended a run, or why there is none."""
     errors: list[Error] = field(default_factory=list)
+    converted: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Quantities of another meaning here: (offset, factor), as :class:`warpcrete.core.knobs.Level` has them."""
+    variant: str = ""
+    """In what the scene differs from that of the trade; empty if in nothing."""
+    full: dict[str, Any] = field(default_factory=dict)
+    """All parameters that mean something, defaults included."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
         """A quantity of the runs with these seeds."""
-        return [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
+        found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
+        offset, factor = self.converted.get(quantity, (0.0, 1.0))
+        return [offset + factor * (value - offset) for value in found]
 
     @property
     def cost(self) -> float:
@@ -65,6 +75,12 @@ class Point:
         """Sphere-steps or particle-steps of a run, whatever the machine; NaN without one."""
         counts = [float(r["steps"]) * (r.get("spheres") or r["particles"]) for r in self.results.values()]
         return float(np.median(counts)) if counts else math.nan
+
+    @property
+    def memory(self) -> float:
+        """What a run takes on the device at its end [B]; NaN without one."""
+        taken = [number(r["speed"]["memory"]) for r in self.results.values() if "memory" in r["speed"]]
+        return float(np.median(taken)) if taken else math.nan
 
     @property
     def worst(self) -> Error | None:
@@ -85,6 +101,10 @@ class Promise:
     point: Point | None
     found: Error | None = None
     """With seeds of its own; None where there was no time for them, or there are no seeds."""
+    carried: dict[str, Error | None] = field(default_factory=dict)
+    """Largest error in each variant of the scene that it was tried on; None where it does not run there."""
+    bound: float = math.inf
+    """What is promised."""
 
 
 class Trade:
@@ -94,10 +114,12 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
+        if module.trading.tolerance:  # a setting may be as far off as anybody could want
+            self.base.setdefault(module.trading.tolerance, TARGETS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
         self.threads: int = record["threads"]
-        given = module.scene.parameters(**self.base)
+        given = self.declared = module.scene.parameters(**self.base)
         self.has_seeds = bool(record["seeded"])
         self.first_seed = int(self.base.pop("seed", 0))
         self.knobs = [knob for knob in module.trading.knobs(given) if knob.name in record["knobs"]]
@@ -105,6 +127,8 @@ class Trade:
         known = {each.name: each for each in method_of(module.scene(**self.base)).quantities}
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Point] = []
+        self.tried: list[Point] = []
+        """In variants of the scene."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf
@@ -132,6 +156,11 @@ class Trade:
     def given(self) -> Point:
         """The scene as it is given."""
         return self.points[0]
+
+    @property
+    def chosen_knobs(self) -> list[Knob]:
+        """Of which settings for a wanted accuracy are made."""
+        return [knob for knob in self.knobs if knob.chosen]
 
     @property
     def seeds(self) -> list[int]:
@@ -165,26 +194,44 @@ class Trade:
     def point(self, origin: str, levels: Mapping[str, int]) -> Point:
         """The point of these levels; one that is there already by its parameters is that one."""
         changes: dict[str, Any] = {}
+        converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
             if knob.name in levels:
                 changes |= knob.levels[levels[knob.name]].changes
+                converted |= knob.levels[levels[knob.name]].converted
         parameters = self.module.scene.meaningful({**self.base, **changes})
         full = self._full(parameters)
-        for point in self.points:
-            if self._full(point.parameters) == full:
-                return point
-        as_given = self._full(self.base)
-        differing = {name: k for name, k in levels.items() if self._differs(name, k, as_given)}
-        self.points.append(Point(origin, differing, parameters))
+        if (found := self._with(full)) is not None:
+            return found
+        differing = {name: k for name, k in levels.items() if self._differs(name, k)}
+        self.points.append(Point(origin, differing, parameters, converted=converted, full=full))
         return self.points[-1]
+
+    def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
+        """The settings of a point in a variant of the scene; knobs go by what their levels are called there."""
+        base = {**self.base, **changes}
+        knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.parameters(**base))}
+        for name, key in self.keys_of(point).items():
+            level = knobs[name].level_of(key) if name in knobs else None
+            base |= level.changes if level else {}
+        parameters = self.module.scene.meaningful(base)
+        same = [p for p in self.tried if p.variant == variant and p.parameters == parameters]
+        if not same:
+            same = [Point(CARRIED, point.levels, parameters, variant=variant)]
+            self.tried += same
+        return same[0]
+
+    def _with(self, full: Mapping[str, Any]) -> Point | None:
+        return next((point for point in self.points if point.full == full), None)
 
     def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """All parameters that mean something, defaults included."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
         return self.module.scene.meaningful({**defaults, **parameters})
 
-    def _differs(self, name: str, level: int, as_given: Mapping[str, Any]) -> bool:
+    def _differs(self, name: str, level: int) -> bool:
         (knob,) = [each for each in self.knobs if each.name == name]
+        as_given = self._full(self.base)
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
@@ -195,13 +242,11 @@ class Trade:
         return knob.levels[level].cost / knob.levels[self.level_as_given(knob)].cost
 
     def _alone(self, knob: Knob, level: int) -> Point | None:
-        full = self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes}))
-        return next((point for point in self.points if self._full(point.parameters) == full), None)
+        return self._with(self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
         """Place of the level that the scene has; the finest where it has none of them."""
-        as_given = self._full(self.base)
-        same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k, as_given)]
+        same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 
     def expected(self, point: Point) -> float:
@@ -230,7 +275,7 @@ class Trade:
                     point.failure = f"not run: takes some {self.expected(point):.2g} s, {max(left, 0):.2g} s were left"
                 return False
             begun = time.perf_counter()
-            tell(self.label(point), min(self.spent / self.budget, 1.0), {})
+            tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
             self._run(point, seed, folder)
             self.spent += time.perf_counter() - begun
         return self.complete(point, seeds)
@@ -242,6 +287,7 @@ class Trade:
     def _folder(self, point: Point, seed: int) -> Path:
         changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, ...) != v}
         words = "-".join(f"{name}={word_of(value)}" for name, value in changed.items()) or "given"
+        words = "-".join([*point.variant.split(), words])
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
     def _known(self, point: Point, seed: int, folder: Path) -> bool:
@@ -263,7 +309,7 @@ class Trade:
 
     def _run(self, point: Point, seed: int, folder: Path) -> None:
         try:
-            if len(self.seeds) < 3 and not point.results:
+            if len(self.seeds) < 3 and not point.results and not point.variant:
                 # One run of few, of which the median is no help, would be charged for loading kernels.
                 warm = self._simulation(point, seed)
                 warm.prepare()
@@ -297,14 +343,10 @@ class Trade:
     def errors_of(self, point: Point, seeds: Sequence[int]) -> list[Error]:
         """Errors of the runs of a point with some seeds."""
         found = []
-        for each in self.quantities:
+        ran = sum(seed in point.results for seed in seeds)
+        for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
-            if not values and any(seed in point.results for seed in seeds):
-                found.append(Error(each.name, math.inf, 0.0))
-                continue
-            if not values:
-                continue
-            if len(values) < sum(seed in point.results for seed in seeds):
+            if len(values) < ran:
                 found.append(Error(each.name, math.inf, 0.0))  # a run without it: it is no property of the setting
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
@@ -345,3 +387,14 @@ class Trade:
         by_name = {knob.name: knob for knob in self.knobs}
         alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
         return max(point.worst.bound, alone)
+
+    def carried_bound(self, point: Point, variants: Sequence[Point]) -> float:
+        """What a point errs by in a scene that is as far from that of the trade as the variants are.
+
+        95 % prediction interval of the next error, from those of the point and its variants.
+        """
+        found = []
+        for each in self.quantities:
+            errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
+            found.append(next_within([e.shift for e in errors]))
+        return max(found)
