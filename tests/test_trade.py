@@ -5,6 +5,7 @@ import importlib
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.advice import advise
-from warpcrete.studies.fronts import Error, cheapest_within, difference, front, student, worst
+from warpcrete.studies.fronts import Error, cheapest_within, difference, front, next_within, student, worst
 from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point, Trade
 
@@ -57,6 +58,41 @@ def test_differences_without_randomness_are_exact_and_lone_runs_say_nothing_of_s
     assert worst([]) is None
 
 
+def test_the_next_error_stays_within_what_is_promised():
+    random = np.random.default_rng(1)
+    held = []
+    for _ in range(4000):
+        errors = random.normal(0.01, 0.02, 8)
+        held.append(abs(errors[-1]) <= next_within(errors[:-1]))
+    # |mean| + t s sqrt(1 + 1/n) bounds the next one on either side, and so a little more than 95 % of them.
+    assert 0.945 <= np.mean(held) <= 0.99
+    assert next_within([-0.03]) == 0.03 and next_within([0.01, 0.01]) == pytest.approx(0.01)
+
+
+def test_variants_of_a_flow_are_other_scenes_that_can_be_made():
+    given = channel.scene.parameters()
+    variants = channel.trading.variants(given)
+    assert {"twice the flow", "a concrete that shears", "concrete no2", "concrete no3"} <= set(variants)
+    made = {name: channel.scene(**changes) for name, changes in variants.items()}
+    assert len({(s.concrete, s.radius, s.velocity) for s in made.values()}) == len(made)
+    sheared = made["a concrete that shears"]
+    theory = sheared.theory()
+    assert theory.slip_velocity / sheared.velocity == pytest.approx(0.72, abs=0.02)
+    assert channel.trading.variants(channel.scene.parameters(aggregates=True)) == {}
+
+
+def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
+    record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "knobs": ["length"], "repeat": 1,
+              "seeded": True, "device": "cpu", "threads": 1, "provenance": {}}  # fmt: skip
+    trade = Trade(tmp_path, pipe, record)
+    assert not trade.chosen_knobs
+    half = trade.point("length", {"length": 1})
+    half.results[0] = {"plateau_pressure": {"value": 11e3, "unit": "Pa"}}
+    assert half.parameters["length"] == 0.5
+    assert half.values("plateau_pressure", [0]) == [1e3 + 2 * 10e3]  # the plug's 1 kPa stays what it is
+    assert not any(k.name == "length" for k in pipe.trading.knobs(pipe.scene.parameters(unit="D")))
+
+
 def test_the_front_is_what_nothing_beats():
     points = [(3.0, 0.01), (1.0, 0.2), (2.0, 0.2), (2.5, 0.05), (2.6, 0.06), (4.0, 0.01)]
     assert front(points) == [1, 3, 0]
@@ -88,9 +124,21 @@ def test_every_level_of_every_knob_makes_another_scene(name):
         assert set(module.trading.quantities) <= known
 
 
+VARIANTS = {"twice the flow": {"flow": 3e-3}, "concrete no2": {"concrete": "no2"}}
+
+
 @pytest.fixture(scope="module")
 def flow_trade(tmp_path_factory):
     out = tmp_path_factory.mktemp("trade") / "channel"
+    monkeypatch = pytest.MonkeyPatch()
+    monkeypatch.setattr(channel, "trading", replace(channel.trading, variants=lambda given: VARIANTS))
+    try:
+        yield _flow_trade(out)
+    finally:
+        monkeypatch.undo()
+
+
+def _flow_trade(out):
     return run_trade("channel", channel, base=COARSE, out=out, budget=300.0, device="cpu", threads=1,
                      knobs=["time step", "regularisation"])  # fmt: skip
 
@@ -112,7 +160,12 @@ def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
         if promise.point is not None:
             assert trade.promised(promise.point) <= promise.target
             cheaper = [p for p in trade.measured if p.cost < promise.point.cost and not p.suspect]
-            assert all(trade.promised(p) > promise.target for p in cheaper)
+            for other in cheaper:  # it errs by more, here or in a variant
+                tried = [p for p in trade.tried if p.levels == other.levels and p.results]
+                assert max(trade.promised(other), trade.carried_bound(other, tried)) > promise.target
+            assert set(promise.carried) == set(VARIANTS) and all(promise.carried.values())
+            sizes = [abs(error.shift) for error in promise.carried.values()]
+            assert max(sizes) <= promise.bound <= promise.target
     assert trade.promises[0].point is not None
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .dem.scene import Scene
     from .methods import Simulation
     from .mps.scene import FluidScene
+    from .studies.explain import explain
     from .studies.trade import trade
 
 __all__ = [
@@ -37,12 +38,13 @@ __all__ = [
     "SceneError",
     "Simulation",
     "WarpcreteError",
+    "explain",
     "scenes",
     "trade",
 ]
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
-_LAZY |= {"trade": "studies.trade"}
+_LAZY |= {"trade": "studies.trade", "explain": "studies.explain"}
 
 
 def __getattr__(name: str) -> Any:

@@ -226,6 +226,27 @@ def trade_command(arguments: tuple[str, ...]) -> None:
     _part("trade").run(list(arguments), _scenes())
 
 
+EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
+
+Which features are compiled in and why, memory by part, the time step and what governs it, steps and wall time on this
+device, and what would save most. Measured within some seconds and kept in the user's cache.
+
+\b
+  --trade FOLDER         of a 'warpcrete trade' of this scene, for the errors of savings    [default: a shipped one]
+  --device, --threads    as for run
+  --fresh                measure again, whatever the cache has
+"""
+
+
+@cli.command("explain", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=EXPLAIN_HELP)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def explain_command(arguments: tuple[str, ...]) -> None:
+    if not arguments or "--help" in arguments:
+        click.echo(EXPLAIN_HELP.replace("\b\n", ""))
+        raise SystemExit(0 if arguments else 2)
+    _part("explain").run(list(arguments), _scenes())
+
+
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
     try:

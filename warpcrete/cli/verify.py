@@ -10,6 +10,7 @@ from .. import verification
 from ..core.device import find_device
 from ..core.files import check_new
 from ..verification import extremes as edge
+from ..verification import flow_extremes
 from ..verification.figure import draw
 
 FAILED = 1
@@ -36,9 +37,9 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
         click.echo(f"{case.group + ': ' + case.name:48s} {verdict}")
     text = f"{found.name}, {precision}\n\n{verification.summary(results)}\n{verification.table(results)}"
     if extremes:
-        outcomes = edge.matrix(str(found), precision)
-        failed += sum(not outcome.acceptable for outcome in outcomes)
-        text += "\n" + edge.table(outcomes)
+        outcomes, flows = edge.matrix(str(found), precision), flow_extremes.matrix(str(found), precision)
+        failed += sum(not outcome.acceptable for outcome in (*outcomes, *flows))
+        text += f"\n{edge.table(outcomes)}\n{flow_extremes.table(flows)}"
     click.echo("\n" + text)
     if out is not None:
         out.mkdir(parents=True)

@@ -31,7 +31,7 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
             waiting += [(path, each) for each in value]
         elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):  # Warp names no class of its structs
             waiting += [(f"{path}.{key}", getattr(value, key)) for key in value._cls.vars]
-        elif type(value).__module__.partition(".")[0] == __package__.partition(".")[0]:
+        elif type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
             waiting += [(f"{path}.{key}", each) for key, each in getattr(value, "__dict__", {}).items()]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .display import Display
+from .forecast import Forecast, Probe
 from .run_loop import Run, Simulation
 from .units import number, quantity, shown
 
@@ -71,6 +72,8 @@ class Method:
     """Matplotlib figure of a run alone, for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
     """Label and text of each line that the command prints about a run, after its quantities."""
+    forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
+    """What a run of a scene will take, of (scene, device, precision, threads, probe of a prepared simulation)."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Runs simulations of one device, each from its checkpoint if it has one; what each came to, or its error."""
 

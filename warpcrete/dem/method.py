@@ -3,6 +3,7 @@
 from ..core.method import Method
 from .batch_run import run_batch
 from .display import ElementDisplay
+from .forecast import forecast
 from .pictures import draw, plot_aggregates
 from .quantities import QUANTITIES, report
 from .simulation import ElementSimulation
@@ -16,5 +17,6 @@ METHOD = Method(
     draw=draw,
     show=plot_aggregates,
     report=report,
+    forecast=forecast,
     run_many=run_batch,
 )

@@ -251,6 +251,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
         faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in sorted({*FACETS, given.facets})]
         yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
     yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if given.bonds and given.hydration > 0:
+        yield scaled("hydrated stiffness", "hydration_modulus", given.hydration_modulus, (0.01, 0.1, 1.0), 0.5, "Pa",
+                     True)  # fmt: skip
     if not given.is_bend:
         # What the wall carries goes with the length, if the stress there does not change along it.
         pushed = given.plug_pressure if given.plug != "none" else 0.0

@@ -2,6 +2,7 @@
 
 from ..core.method import Method, run_in_turn
 from .display import FlowDisplay
+from .forecast import forecast
 from .pictures import draw, plot_flow
 from .quantities import QUANTITIES, report
 from .simulation import FluidSimulation
@@ -15,5 +16,6 @@ METHOD = Method(
     draw=draw,
     show=plot_flow,
     report=report,
+    forecast=forecast,
     run_many=run_in_turn,
 )

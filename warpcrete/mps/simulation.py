@@ -48,6 +48,11 @@ class FluidSimulation(Simulation):
         return hasattr(self, "flow")
 
     @property
+    def top_speed(self) -> float:
+        """Of the steady flow, by theory [m/s]."""
+        return self._watch.top_speed
+
+    @property
     def rows(self) -> list[dict[str, float]]:
         """Rows of the series so far."""
         return self._rows

@@ -60,8 +60,10 @@ def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> P
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
     """What a shipped trade keeps of a trade.json."""
     kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    of_points = ("setting", "origin", "time", "errors", "suspect")
+    points = [{name: point[name] for name in of_points} for point in record["points"]]
     version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
-    return {name: record[name] for name in kept} | version
+    return {name: record[name] for name in kept} | {"points": points} | version
 
 
 def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:

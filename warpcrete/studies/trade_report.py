@@ -37,8 +37,13 @@ def table(trade: Trade) -> str:
     lines = [f"Errors against {against}.", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for point in sorted(trade.points, key=lambda p: p.cost if math.isfinite(p.cost) else math.inf):
         name = trade.label(point) + (f" ({REFERENCE})" if point.origin == REFERENCE else "")
-        cells = [name, _number(point.cost), _number(point.cost / trade.given.cost), _number(point.work / 1e6),
-                 _number(point.memory / 1e6)]
+        cells = [
+            name,
+            _number(point.cost),
+            _number(point.cost / trade.given.cost),
+            _number(point.work / 1e6),
+            _number(point.memory / 1e6),
+        ]
         by_name = {error.quantity: error for error in point.errors}
         for each in trade.quantities:
             values = point.values(each.name, trade.seeds)
@@ -70,7 +75,9 @@ def promises(trade: Trade) -> list[str]:
             f"{ratio:.3g}",
             f"{100 * promise.bound:.2g} %",
             found,
-            "; ".join(f"{name}: {percent(error) if error else 'does not run'}" for name, error in promise.carried.items())
+            "; ".join(
+                f"{name}: {percent(error) if error else 'does not run'}" for name, error in promise.carried.items()
+            )
             or "not tried",
         ]
         lines.append("| " + " | ".join(cells) + " |")
@@ -84,8 +91,15 @@ def write(trade: Trade) -> None:
     with whole_file(trade.folder / "trade.md") as partial:
         partial.write_text(f"# Speed against accuracy: {trade.scene_name}\n\n{table(trade)}\n")
     _write_csv(trade)
-    write_json(trade.folder / "trade.json", {**trade.record, "machine": trade.machine, "points": [_recorded(trade, p) for p in trade.points],
-                                             "promises": [_promised(trade, p) for p in trade.promises]})  # fmt: skip
+    write_json(
+        trade.folder / "trade.json",
+        {
+            **trade.record,
+            "machine": trade.machine,
+            "points": [_recorded(trade, p) for p in trade.points],
+            "promises": [_promised(trade, p) for p in trade.promises],
+        },
+    )
     if trade.measured:
         with whole_file(trade.folder / "trade.png") as partial:
             draw(trade).savefig(partial, dpi=150, format="png")
@@ -118,8 +132,10 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
         "parameters": None if point is None else point.parameters,
         "promised": None if point is None else promise.bound,
         "found": None if found is None else {"shift": found.shift, "interval": found.interval},
-        "carried": {name: None if e is None else {"quantity": e.quantity, "shift": e.shift}
-                    for name, e in promise.carried.items()},
+        "carried": {
+            name: None if e is None else {"quantity": e.quantity, "shift": e.shift}
+            for name, e in promise.carried.items()
+        },
     }
 
 

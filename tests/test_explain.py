@@ -1,0 +1,165 @@
+"""What `explain` foretells, beside the state of a run that begins; no times, which benchmarks compare."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pumping import command
+
+import warpcrete
+from warpcrete import Simulation, scenes
+from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.footprint import footprint
+from warpcrete.dem.containers import PipeContainer
+from warpcrete.dem.forecast import tiled
+from warpcrete.dem.packing import pack
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.studies.explain import explain
+
+SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02, travel=0.05, plug_ball=15e-3)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+OTHERS = {"vertical": {}, "bend": dict(unit="D", elbow_radius=0.3),
+          "clumps": dict(shapes="reference", precision="float64")}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", OTHERS.values(), ids=OTHERS)
+def test_what_is_foretold_of_elements_is_what_a_run_has(device, changes):
+    """Measured on a CPU: spheres 0.95 to 1.06, step 0.93 to 1.10, memory 0.90 to 1.11 of the run's."""
+    scene = scenes.pipe(**SMALL | changes)
+    told = explain(scene, device=device, threads=1, cache=False).forecast
+    simulation = Simulation(scene, device=device, threads=1, precision=scene.precision)
+    simulation.prepare()
+    simulation.stepper.advance(5 * simulation.stepper.dt)
+    simulation.measure()
+    assert told.counts["spheres"] == pytest.approx(simulation.state.sphere_count, rel=0.1)
+    assert told.time_step == pytest.approx(simulation.stepper.dt, rel=0.15)
+    assert told.steps == pytest.approx(scene.duration / simulation.stepper.dt, rel=0.15)
+    assert told.total_memory == pytest.approx(footprint(all=simulation)["all"], rel=0.2)
+    assert set(told.parts) == {"packing", "settling", "steps", "list builds", "samples"}
+    assert all(spent > 0 for spent in told.parts.values()) and set(told.frame) == {"rerun", "usd"}
+
+
+def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
+    scene = scenes.channel(spacing=0.02)
+    told = explain(scene, device=device, threads=1, cache=False).forecast
+    run = Simulation(scene, device=device, threads=1).run()
+    assert told.counts["particles"] == run.result["particles"] and told.steps == run.result["steps"]
+    assert told.total_memory == pytest.approx(run.result["speed"]["memory"]["value"], rel=0.05)
+    # Of a flow with more particles a coarser copy says when it is steady: within two samples of 5 ms.
+    fine = explain(scenes.channel(spacing=2.5e-3), device=device, cache=False).forecast
+    assert fine.steps == pytest.approx(Simulation(scenes.channel(spacing=2.5e-3), device=device).run().result["steps"],
+                                       abs=20)  # fmt: skip
+    assert explain(scenes.channel(duration=0.05), device=device, cache=False).forecast.steps == 100
+
+
+def test_what_governs_the_step_and_what_to_do_about_it(device):
+    scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
+    told = explain(scene, device=device, threads=1, cache=False)
+    limits = told.forecast.limits
+    assert told.forecast.governing.startswith("hydrated bonds, which make it")
+    assert limits["contacts and hydrated bonds"] < 0.1 * limits["contacts and bonds"]
+    # Steps of a bond go with the root of its stiffness.
+    softer = replace(scene, hydration=replace(scene.hydration, bonds=replace(scene.hydration.bonds,
+                                                                            effective_modulus=1e8 / 4)))  # fmt: skip
+    other = explain(softer, device=device, threads=1, cache=False).forecast.limits
+    ratio = other["contacts and hydrated bonds"] / limits["contacts and hydrated bonds"]
+    assert ratio == pytest.approx(2.0, rel=0.05)
+    assert told.savings[0].what == "no hydrated bonds, or softer ones" and told.savings[0].ratio < 0.8
+    assert limits["contacts without dashpots"] > 1.1 * limits["contacts"]
+    assert "mm" in told.forecast.governing
+    fixed = explain(replace(scene, time_step=replace(scene.time_step, fixed=1e-7)), device=device, cache=False)
+    assert fixed.forecast.time_step == 1e-7 and fixed.forecast.governing == "time_step = 1e-07 s, as it is given"
+
+
+def test_features_are_those_that_are_compiled_in(device):
+    def used(**changes) -> set[str]:
+        scene = scenes.pipe(**SMALL | dict(length=0.2) | changes)
+        if not changes.get("bonds", True):  # of the plug, too
+            scene = replace(scene, bodies=(), drives=(), group_bonds={})
+        features = explain(scene, device=device, cache=False)
+        return {name for name, why in features.forecast.features.items() if why != "left out"}
+
+    bare = used(bonds=False, friction=0.0)
+    assert {"shear history", "rotation", "bonds", "clumps", "drives", "healing", "energy balance"}.isdisjoint(bare)
+    assert used() - bare == {"shear history", "rotation", "bonds", "drives"}
+    assert used(healing=True, shapes="reference", energy_balance=True) - used() == {"healing", "clumps",
+                                                                                   "energy balance"}  # fmt: skip
+
+
+def test_a_packing_is_repeated_along_a_pipe():
+    axis = Axis((0, 0, 0), (1, 0, 0), (Arc(0.5, np.pi / 2, (0, 0, 1)), Line(1.0)))
+    fill = replace(scenes.pipe(**SMALL).fill, container=PipeContainer(axis, 0.05, 0.15))
+    table, _ = pack(fill, device="cpu")
+    whole = tiled(table, axis, 0.15, 0.6)
+    assert len(whole) == 4 * len(table) and len(tiled(table, axis, 0.15, 0.5)) < len(whole)
+    np.testing.assert_allclose(whole.position[: len(table)], table.position, atol=1e-9)
+    across = np.linalg.norm(whole.position - axis.nearest(whole.position), axis=1)
+    np.testing.assert_allclose(across.reshape(4, -1), np.tile(across[: len(table)], (4, 1)), atol=1e-4)
+    assert whole.size.sum() == pytest.approx(4 * table.size.sum()) and len(whole.material) == len(whole)
+
+
+def test_a_forecast_is_kept_for_the_next_time(tmp_path, monkeypatch):
+    scene = scenes.channel(spacing=0.02)
+    first = warpcrete.explain(scene, device="cpu")
+    (kept,) = (tmp_path / "cache").rglob("explain-*.json")
+    assert str(explain(scene, device="cpu")) == str(first)
+    before = kept.stat().st_mtime_ns
+    kept.write_text("{")  # a broken one counts as none
+    assert explain(scene, device="cpu").forecast.counts == first.forecast.counts
+    assert kept.stat().st_mtime_ns != before and json.loads(kept.read_text())["counts"]
+    explain(scenes.channel(spacing=0.0195), device="cpu")
+    assert len(list((tmp_path / "cache").rglob("explain-*.json"))) == 2
+
+
+def test_savings_by_a_trade(tmp_path):
+    def point(setting: str, origin: str, time: float, shift: float, suspect: tuple = ()) -> dict:
+        errors = {"plateau_pressure": {"shift": shift, "interval": 0.001}}
+        return dict(setting=setting, origin=origin, time={"value": time}, errors=errors, suspect=suspect)
+
+    points = [point("as given", "as given", 2.0, 0.0), point("time step 1.2", "time step", 1.4, 0.003),
+              point("wall 64 facets", "wall", 2.8, 0.001), point("both", "combined", 0.1, 0.1),
+              point("stiffness 1 Pa", "stiffness", 0.1, 0.1, ("no aggregate swallowed",))]  # fmt: skip
+    record = {"scene": "pipe", "machine": "some machine", "points": points}
+    (tmp_path / "trade.json").write_text(json.dumps(record))
+    told = explain(scenes.pipe(**SMALL | dict(length=0.2)), device="cpu", trade=tmp_path)
+    assert [(s.what, s.ratio, s.error) for s in told.savings] == [
+        ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
+    ]
+    assert "some machine" in str(told) and "time step 1.2: 0.7 of the time; error of plateau" in str(told)
+    with pytest.raises(SceneError, match="is of the scene 'pipe', not 'channel'"):
+        explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
+    with pytest.raises(RunFolderError, match="is no trade's folder"):
+        explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")
+
+
+def test_a_pipe_too_long_for_the_copy_counts_by_its_length(monkeypatch):
+    scene = scenes.pipe(**SMALL)
+    whole = explain(scene, device="cpu", threads=1, cache=False).forecast
+    monkeypatch.setattr("warpcrete.dem.forecast.MOST", {True: 100, False: 100})
+    part = explain(scene, device="cpu", threads=1, cache=False).forecast
+    assert part.counts["spheres"] == pytest.approx(whole.counts["spheres"], rel=0.1)
+    assert part.total_memory == pytest.approx(whole.total_memory, rel=0.2)
+
+
+def test_the_command(tmp_path):
+    done = command("explain", "channel", "--spacing", "0.02", "--device", "cpu", "--threads", "1")
+    assert done.returncode == 0 and not done.stderr
+    for words in ("particles", "memory:", "time step: 0.0005 s", "wall time:", "what would save most"):
+        assert words in done.stdout
+    for arguments, words in (
+        (("nothing",), "scene = 'nothing': must be one of"),
+        (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': takes one value here"),
+        (("channel", "--spacing", "-1"), "spacing = -1.0"),
+        (("channel", "--fresh", "1"), "--fresh: takes no value"),
+        (("channel", "--trade", str(tmp_path)), "is no trade's folder"),
+    ):
+        done = command("explain", *arguments, "--device", "cpu")
+        assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert "before it runs" in command("explain", "--help").stdout

@@ -1,0 +1,31 @@
+"""`warpcrete explain`: what a scene will take, before it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.errors import refuse
+from ..studies.explain import explain
+from .study import parameter_values, parsed, single
+
+ONE = {"device": str, "threads": int, "trade": Path}
+
+
+def run(arguments: list[str], modules: dict[str, Any]) -> None:
+    """Print what a scene will take."""
+    scene, options = parsed(arguments)
+    settings = single(options, ONE)
+    fresh = options.pop("fresh", None)
+    if fresh:
+        raise click.UsageError("--fresh: takes no value")
+    if scene not in modules:
+        raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+    values = parameter_values(modules[scene], options)
+    for name, given in values.items():
+        if len(given) > 1:
+            refuse(name, ", ".join(map(str, given)), "takes one value here")
+    made = modules[scene].scene(**{name: given[0] for name, given in values.items()})
+    click.echo(str(explain(made, cache=fresh is None, **settings)))

@@ -1,0 +1,325 @@
+"""What a run of discrete elements will take: measured on a quick copy of its packing, and by what packings have shown.
+
+The copy is real but for its history: a short piece of the container is packed, and repeated along the pipe. On it the
+time step is estimated as in a run, and steps, list builds and samples are timed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device import parallel
+from ..core.footprint import footprint
+from ..core.forecast import Forecast, Probe, median_time
+from ..core.run_loop import drive_alone
+from ..geometry.axis import Axis
+from ..geometry.walls import Prescribed
+from .bodies import BodyTable, placed_bodies
+from .containers import PipeContainer
+from .laws import ContactLaw
+from .packing import PackingReport, pack
+from .restoring import restored, state_dict
+from .scene import Scene
+from .simulation import SETTLING_PARTS, ElementSimulation
+from .stepper import Stepper
+
+SPENT = 0.6  # wall time for which steps are timed [s]
+MOST = {True: 400_000, False: 40_000}  # spheres of the copy, on a GPU and on a CPU; more cost as these do, each
+# How far concrete goes between two list builds, over the skin: all of it alike in a straight pipe, turning in a bend.
+STRAIGHT, BENT = 1.25, 0.5
+SETTLING_BUILDS = 1 / 40  # list builds a step while settling
+# Settling ends after so many passages of a pressure wave along the pipe, and some time that does not go by length [s].
+PASSAGES, BESIDES = 2.4, 0.19
+IDLE = 40_000  # spheres that a GPU steps in about twice the time of none
+
+
+def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings.
+
+    Raises what the run would raise before its first step.
+    """
+    ready = _Copy(scene, device, precision, threads)
+    step, build, sample = ready.step, ready.build, ready.sample
+    dt, factor = ready.stepper.dt, ready.factor
+    steps = scene.duration / dt
+    parts: dict[str, float] = {}
+    if scene.fill is not None:
+        parts["packing"] = ready.packing
+    if scene.settle is not None and scene.settle.duration > 0:
+        time_settling = _settling_time(scene)
+        looks = math.ceil(SETTLING_PARTS * time_settling / scene.settle.duration)
+        count = time_settling / dt
+        parts["settling"] = (count * (step + SETTLING_BUILDS * build) + looks * sample) * factor
+    builds = ready.builds(steps)
+    parts["steps"] = steps * step * factor
+    parts["list builds"] = builds * build * factor
+    samples = max(1, math.ceil(scene.duration / scene.sample_interval))
+    parts["samples"] = samples * sample * factor
+    limits, governing = ready.limits()
+    return Forecast(
+        method="discrete elements",
+        device="",
+        counts={"bodies": round(ready.bodies * factor), "spheres": round(ready.spheres * factor),
+                "contacts": round(ready.contacts * factor)},
+        features=_features(ready.simulation),
+        memory={name: size * factor for name, size in ready.memory.items()},
+        time_step=dt,
+        limits=limits,
+        governing=governing,
+        steps=steps,
+        parts=parts,
+        frame={name: spent * factor for name, spent in probe(ready.simulation).items()},
+        duration=scene.duration,
+        remarks=scene.remarks,
+    )  # fmt: skip
+
+
+def _settling_time(scene: Scene) -> float:
+    """Simulated time to rest [s], as pipes of this package's units have shown it."""
+    assert scene.settle is not None
+    if scene.pipe is None or scene.fill is None:
+        return scene.settle.duration
+    speed = math.sqrt(scene.contact.stress_scale / (0.6 * scene.fill.density))
+    return min(scene.settle.duration, BESIDES + PASSAGES * scene.pipe.concrete_length / speed)
+
+
+class _Copy:
+    """A scene as it will be at t = 0, but for settling; of a very long one only a part."""
+
+    def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
+        self.scene, self.device = scene, device
+        self.factor = 1.0
+        self.packing = 0.0
+        packed = self._packed(precision, threads) if scene.fill is not None else None
+        simulation = ElementSimulation(
+            replace(scene, settle=None), device=str(device), precision=precision, threads=threads
+        )
+        simulation.place(packed, 0.0)
+        simulation.join(Stepper(simulation.model, simulation.state, scene.time_step, threads=simulation.threads))
+        drive_alone(simulation.preparing(), simulation.stepper.advance)
+        self.simulation, self.stepper = simulation, simulation.stepper
+        self.bodies, self.spheres = simulation.state.body_count, simulation.state.sphere_count
+        self._time()
+
+    def _packed(self, precision: str, threads: int | None) -> tuple[BodyTable, PackingReport]:
+        fill = self.scene.fill
+        assert fill is not None
+        container, pilot = fill.container, fill.container.pilot()
+        marks: list[float] = []
+        table, report = pack(
+            replace(fill, container=pilot), contact=self.scene.contact, seed=self.scene.seed, device=self.device,
+            precision=precision, threads=threads or ElementSimulation(self.scene, device=str(self.device)).threads,
+            progress=lambda done: marks.append(time.perf_counter()),
+        )  # fmt: skip
+        # Loading of kernels falls into the first chunk of steps, which counts as the middle one does.
+        chunks = np.diff(marks)
+        taken = float(chunks[1:].sum() + np.median(chunks)) if len(chunks) > 1 else 0.0
+        if fill.pressure is not None and pilot is not container:
+            taken /= 2  # a pilot of the pilot came first
+        if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
+            self.packing = taken * (2 if fill.pressure is not None else 1)
+            return table, report
+        whole = container.length / pilot.length
+        most = MOST[parallel(self.device)]
+        spheres = float(table.sphere_counts.sum())
+        kept = min(whole, max(most / spheres, 1.0))
+        placed = float(placed_bodies(self.scene).sphere_counts.sum())
+        self.factor = (whole * spheres + placed) / (kept * spheres + placed)
+        if parallel(self.device):
+            long = taken * (IDLE + whole * spheres) / (IDLE + spheres)
+        else:
+            long = taken * whole
+        self.packing = long + (taken if fill.pressure is not None else 0.0)
+        return tiled(table, container.axis, pilot.length, kept * pilot.length), report
+
+    def _time(self) -> None:
+        """Time a step, a list build and a sample."""
+        simulation, stepper = self.simulation, self.stepper
+        if self.spheres == 0:
+            self.step = self.build = self.sample = 0.0
+            self.contacts, self.memory = 0, {}
+            self._built = 0.0
+            return
+        self.build = median_time(stepper.rebuild, self.device)
+        self.sample = median_time(simulation.measure, self.device)
+        count, spent = 32, 0.0
+        stepper.advance(stepper.time + count * stepper.dt)  # records graphs
+        begun_builds = int(stepper.lists.builds[stepper.index])
+        first = stepper.steps
+        rates = []
+        while spent < SPENT:
+            wp.synchronize_device(self.device)
+            begun, before, built = time.perf_counter(), stepper.steps, int(stepper.lists.builds[stepper.index])
+            stepper.advance(stepper.time + count * stepper.dt)
+            wp.synchronize_device(self.device)
+            took = time.perf_counter() - begun
+            built = int(stepper.lists.builds[stepper.index]) - built
+            rates.append((took - built * self.build) / max(stepper.steps - before, 1))
+            spent += took
+            count = min(2 * count, 512)
+        self.step = float(max(np.median(rates), 0.0))
+        self._built = (int(stepper.lists.builds[stepper.index]) - begun_builds) / max(stepper.steps - first, 1)
+        row = simulation.rows[-1]
+        self.contacts = round(row.get("contacts", 0.0))
+        self.memory = _memory(simulation)
+
+    def builds(self, steps: float) -> float:
+        """List builds of the whole run."""
+        pipe, skin = self.scene.pipe, self.stepper.skin
+        if pipe is None:
+            return self._built * steps
+        straight = len(pipe.axis.pieces) == 1 and not hasattr(pipe.axis.pieces[0], "angle")
+        return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
+
+    def limits(self) -> tuple[dict[str, float], str]:
+        """What the step would be by contacts alone, with each kind of bonds, with dashpots; and what governs it."""
+        simulation, stepper, scene = self.simulation, self.stepper, self.scene
+        fixed = scene.time_step.fixed
+        safety = scene.time_step.safety
+        if self.spheres == 0:
+            return {"no bodies": stepper.dt}, "nothing bounds it but its largest allowed size"
+        found: dict[str, float] = {}
+        kinds = simulation.state.pairs.bond.numpy().copy() if simulation.model.features.bonds else None
+
+        def estimate() -> float:
+            stepper.batch.device_changed()
+            return safety * stepper.estimate()
+
+        names = [*(["bonds"] if scene.bonds else []), *(["hydrated bonds"] if scene.hydration else []),
+                 *(f"bonds of {group}" for group in scene.group_bonds)]  # fmt: skip
+        if kinds is not None:
+            simulation.state.pairs.bond.assign(np.zeros_like(kinds))
+        try:
+            found["contacts"] = estimate()
+            for number, name in enumerate(names, 1):
+                assert kinds is not None
+                only = kinds.copy()
+                if name == "hydrated bonds":  # beside the others, which they were before
+                    only[~np.isin(kinds, (number - 1, number))] = 0
+                else:
+                    only[kinds != number] = 0
+                simulation.state.pairs.bond.assign(only)
+                found[f"contacts and {name}"] = estimate()
+        finally:
+            if kinds is not None:
+                simulation.state.pairs.bond.assign(kinds)
+        found["contacts without dashpots"] = safety * self._undamped()
+        whole = estimate()
+        if fixed is not None:
+            return {**found, "all together": whole}, f"time_step = {fixed:g} s, as it is given"
+        alone = found["contacts"]
+        bonded = {name: dt for name, dt in found.items() if name.startswith("contacts and ")}
+        words = []
+        if bonded and min(bonded.values()) < 0.9 * alone:
+            name = min(bonded, key=bonded.__getitem__)
+            times = alone / bonded[name]
+            words.append(f"{name.removeprefix('contacts and ')}, which make it {times:.3g} times smaller than "
+                         f"contacts alone and are {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
+        else:
+            words.append("contacts")
+        if found["contacts without dashpots"] > 1.1 * alone:
+            share = 100 * (1 - alone / found["contacts without dashpots"])
+            words.append(f"their dashpots make it {share:.0f} % smaller than springs would")
+        words.append(self._smallest())
+        return {**found, "all together": whole}, "; ".join(words)
+
+    def _undamped(self) -> float:
+        """Estimate of the step without dashpots, bonds left out."""
+        scene = replace(
+            self.simulation.scene, contact=_springs(self.scene.contact),
+            contacts={pair: _springs(law) for pair, law in self.scene.contacts.items()},
+        )  # fmt: skip
+        one = self.simulation
+        other = ElementSimulation(scene, device=str(self.device), precision=one.precision, threads=one.threads)
+        other.state = restored(other.model, state_dict(one.state))
+        if other.model.features.bonds:
+            other.state.pairs.bond.zero_()
+        stepper = Stepper(other.model, other.state, scene.time_step, threads=one.threads,
+                          resumed=self.stepper.state_dict())  # fmt: skip
+        return stepper.estimate()
+
+    def _smallest(self) -> str:
+        """Which bodies have the least mass for what holds them: those bound the step."""
+        spheres = self.simulation.state.spheres.position.numpy()[:, 3]
+        table = self.simulation.state.table()
+        least = int(np.argmin(table.mass))
+        group = f" of {table.group[least]}" if table.group[least] else ""
+        return (f"steps are shortest for the lightest bodies, here {1e3 * table.size[least]:.3g} mm{group} "
+                f"(spheres of {2e3 * spheres.min():.3g} mm and more)")  # fmt: skip
+
+
+def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
+    """Bodies of the first `period` of a pipe [m], repeated up to `length` [m]."""
+    grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
+    points, tangents, normal, side = axis.frame(grid)
+    place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])
+    offset = table.position - points[place]
+    local = [np.sum(offset * each[place], axis=1) for each in (tangents, normal, side)]
+    rows, positions = [], []
+    for k in range(math.ceil(length / period - 1e-9)):
+        s = grid[place] + k * period
+        here = np.flatnonzero(s <= length)
+        p, t, a, b = axis.frame(s[here])
+        positions.append(p + local[0][here, None] * t + local[1][here, None] * a + local[2][here, None] * b)
+        rows.append(here)
+    row = np.concatenate(rows)
+    per_row = {name: getattr(table, name)[row] for name in ("orientation", "velocity", "spin", "size", "template",
+                                                            "density")}  # fmt: skip
+    return BodyTable(
+        position=np.concatenate(positions), material=[table.material[k] for k in row],
+        group=[table.group[k] for k in row], templates=table.templates, **per_row,
+    )  # fmt: skip
+
+
+def _springs(law: ContactLaw) -> ContactLaw:
+    """A law without its dashpots."""
+    changes: dict[str, Any] = {}
+    for each in dataclasses.fields(law):  # type: ignore[arg-type]
+        value = getattr(law, each.name)
+        if each.name.endswith("damping_ratio"):
+            changes[each.name] = 0.0
+        elif isinstance(value, ContactLaw):
+            changes[each.name] = _springs(value)
+    return replace(law, **changes)
+
+
+def _memory(simulation: ElementSimulation) -> dict[str, float]:
+    """Device memory by part [B]."""
+    state, stepper = simulation.state, simulation.stepper
+    roots = {
+        "bodies": state.bodies, "spheres": state.spheres, "walls": (state.slots, state.walls, simulation.model),
+        "contacts": state.pairs, "rest of the state": state, "neighbour lists": stepper.lists, "rest": simulation,
+    }  # fmt: skip
+    return {name: float(size) for name, size in footprint(**roots).items() if size}
+
+
+def _features(simulation: ElementSimulation) -> dict[str, str]:
+    """What is compiled in and why, in words."""
+    f, scene = simulation.model.features, simulation.scene
+    bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
+             if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip
+    turns = "clumps" if f.clumps else "bonds" if f.bonds else "friction or shear dashpots"
+    moving = [wall.name for wall in scene.walls if isinstance(wall.motion, Prescribed)]
+    kinds = [("planes and pipes" if f.analytic else ""), ("meshes" if f.meshes else "")]
+    present = {
+        "law between bodies": f.pair_law.__name__,
+        "law with walls": f.wall_law.__name__ if f.walls else "",
+        "shear history": "friction between bodies" if f.history else "",
+        "rotation": turns if f.rotation else "",
+        "clumps": "bodies of several spheres" if f.clumps else "",
+        "bonds": ", ".join(bonds) if f.bonds else "",
+        "healing": "new contacts bond" if f.healing else "",
+        "drives": f"forces on {', '.join(drive.group for drive in scene.drives)}" if f.drives else "",
+        "walls": " and ".join(kind for kind in kinds if kind) + (f"; {', '.join(moving)} moves" if moving else ""),
+        "energy balance": "asked for" if f.dissipation else "",
+        "precision": simulation.precision,
+        "half lists": f"each pair stands once, {simulation.threads} threads" if f.half_list else "",
+    }
+    return {name: why or "left out" for name, why in present.items()}

@@ -1,0 +1,228 @@
+"""What a scene requires, told before it runs: features, memory, time step, wall time, and what would save most."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.device import default_threads, find_device
+from ..core.errors import RunFolderError, SceneError, refuse
+from ..core.files import read_json, write_json
+from ..core.forecast import Forecast
+from ..core.provenance import fingerprint, provenance
+from ..methods import method_of
+from ..record.recorders import RECORDERS, Look
+from .advice import shipped
+from .fronts import Error, worst
+from .trade_report import percent
+from .trading import COMBINED, GIVEN, REFERENCE
+
+FRAMES = 25.0
+"""A simulated second, that `warpcrete run` records unless told otherwise."""
+TIMED = 3  # frames
+LARGE = 0.9
+"""Of the time, what a simplification must leave less than to be worth a line."""
+
+
+@dataclass(frozen=True)
+class Saving:
+    """A simplification of a scene."""
+
+    what: str
+    ratio: float
+    """Time that is left, over that of the scene as it is."""
+    error: str
+    """As measured, or that it was not."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What a scene will take on a device."""
+
+    scene: str
+    forecast: Forecast
+    savings: tuple[Saving, ...]
+    """Largest first."""
+    source: str
+    """Of measured errors; empty if there are none."""
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self))
+
+    __repr__ = __str__
+
+
+def explain(
+    scene: Any,
+    *,
+    device: str | None = None,
+    threads: int | None = None,
+    trade: Path | str | None = None,
+    cache: bool = True,
+) -> Explanation:
+    """What a scene will take on a device: measured in a few seconds, and kept for the next time.
+
+    `scene` is one that a scene function made, or any other that :class:`warpcrete.Simulation` takes; `trade` the folder
+    of a trade whose measured errors are told beside savings (default: the shipped one that is nearest).
+    Raises what a run of it raises before its first step.
+    """
+    found = find_device(device)
+    threads = threads or default_threads()
+    path = _cached(scene, found, threads)
+    forecast = _read(path) if cache and path is not None else None
+    if forecast is None:
+        forecast = method_of(scene).forecast(scene, found, scene.precision, threads, _frames)
+        words = provenance(found, scene.precision, 0)
+        name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
+        forecast = Forecast(**{**asdict(forecast), "device": name})
+        if cache and path is not None:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_json(path, asdict(forecast))
+            except (OSError, RunFolderError):  # a cache that cannot be written is none
+                pass
+    savings, source = _savings(scene, forecast, Path(trade) if trade else None, found.is_cuda)
+    return Explanation(scene.name, forecast, savings, source)
+
+
+def _frames(simulation: Any) -> dict[str, float]:
+    """Wall time of a frame of each recorder [s], with its part of what they do at the end."""
+    found = {}
+    for kind in RECORDERS:
+        with tempfile.TemporaryDirectory() as folder:
+            recorder = kind.make(Path(folder), Look())
+            recorder.start(simulation)
+            recorder.frame(simulation)
+            begun = time.perf_counter()
+            for _ in range(TIMED):
+                recorder.frame(simulation)
+            recorder.finish(simulation, simulation.result(False))
+            found[kind.name] = (time.perf_counter() - begun) / TIMED
+    return found
+
+
+def _cached(scene: Any, device: Any, threads: int) -> Path | None:
+    """File in the user's cache for this scene, version and device."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    version = provenance(device, "float32", 0)
+    key = fingerprint((scene, version.get("warpcrete"), version.get("warp"), version.get("device_name"),
+                       version.get("processor"), str(device), threads))  # fmt: skip
+    return Path(home) / "warpcrete" / f"explain-{key[:24]}.json"
+
+
+def _read(path: Path) -> Forecast | None:
+    try:
+        known = json.loads(path.read_text())
+        return Forecast(**{**known, "remarks": tuple(known["remarks"])})
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
+    """Simplifications, by what a trade measured and by what bounds the time step."""
+    found = list(_by_step(forecast))
+    record, source = _trade_of(scene, trade, on_gpu)
+    found += _alone(record.get("points", []))
+    return tuple(sorted(found, key=lambda each: each.ratio)), source
+
+
+def _alone(points: list[dict[str, Any]]) -> Iterator[Saving]:
+    """Of a trade's points those that differ by one knob and save time."""
+    given = next((point for point in points if point["origin"] == GIVEN), None)
+    for point in points:
+        alone = point["origin"] not in (GIVEN, REFERENCE, COMBINED) and point["errors"] and not point["suspect"]
+        if given is None or not alone or not point["time"]["value"] or not given["time"]["value"]:
+            continue
+        ratio = point["time"]["value"] / given["time"]["value"]
+        found = [Error(name, e["shift"], e["interval"] or 0.0) for name, e in point["errors"].items()
+                 if e["shift"] is not None]  # fmt: skip
+        largest = worst(found)
+        if ratio < LARGE and largest is not None:
+            yield Saving(point["setting"], ratio, f"error of {largest.quantity} {percent(largest)}")
+
+
+def _by_step(forecast: Forecast) -> Iterator[Saving]:
+    """Without a kind of bonds, without dashpots: steps would be longer."""
+    alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
+    if not alone or not whole or not forecast.wall_time:
+        return
+    rest = 1.0 - forecast.parts.get("steps", 0.0) / forecast.wall_time
+    for name, limit in forecast.limits.items():
+        if name.startswith("contacts and ") and limit < 1.05 * whole and limit < LARGE * alone:
+            others = [v for n, v in forecast.limits.items() if n.startswith("contacts and ") and n != name] + [alone]
+            ratio = rest + (1.0 - rest) * whole / min(others)
+            if ratio < LARGE:
+                yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
+
+
+def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
+    """Record of a trade with its knobs alone, and what it is called."""
+    from ..scenes import modules
+
+    module = modules().get(scene.name)
+    if trade is not None:
+        if not (trade / "trade.json").is_file():
+            raise RunFolderError(f"trade = '{trade}': is no trade's folder (it holds no trade.json)")
+        record = read_json(trade / "trade.json")
+        if record.get("scene") != scene.name:
+            refuse("trade", str(trade), f"is of the scene {record.get('scene')!r}, not {scene.name!r}")
+        return record, f"'{trade}', {record.get('machine', '')}"
+    if module is None or not scene.parameters:
+        return {}, ""
+    try:
+        path = shipped(scene.name, module, dict(scene.parameters), on_gpu)
+    except SceneError:
+        return {}, ""
+    if path is None:
+        return {}, ""
+    record = read_json(path)
+    return record, f"the shipped trade {path.stem!r}, {record.get('machine', '')}"
+
+
+def _lines(told: Explanation) -> Iterator[str]:
+    f = told.forecast
+    yield f"scene {told.scene}, {f.method}, on {f.device}"
+    yield "  " + ", ".join(f"{count:,} {name}" for name, count in f.counts.items())
+    yield from (f"  note: {remark}" for remark in f.remarks)
+    yield "features"
+    width = max(map(len, f.features))
+    used = {name: why for name, why in f.features.items() if why != "left out"}
+    yield from (f"  {name:{width}s}  {why}" for name, why in used.items())
+    if len(used) < len(f.features):
+        yield f"  left out: {', '.join(name for name in f.features if name not in used)}"
+    yield f"memory: {_bytes(f.total_memory)}"
+    yield from (f"  {name:20s} {_bytes(size)}" for name, size in f.memory.items())
+    yield f"time step: {f.time_step:.3g} s, governed by {f.governing}"
+    yield from (f"  {name:36s} {limit:.3g} s" for name, limit in f.limits.items())
+    yield f"steps: {f.steps:,.0f} for {f.duration:.3g} s"
+    yield f"wall time: {_seconds(f.wall_time)} without recordings, kernels compiled"
+    yield from (f"  {name:20s} {_seconds(spent)}" for name, spent in f.parts.items())
+    if f.frame:
+        frames = 1 + int(FRAMES * f.duration)
+        spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
+        yield f"  and for {frames} recorded frames: {spent}"
+    yield "what would save most" + (f" (errors by {told.source})" if told.source else "")
+    if not told.savings:
+        yield "  nothing that is known"
+    for saving in told.savings[:5]:
+        yield f"  {saving.what}: {saving.ratio:.2g} of the time; {saving.error}"
+
+
+def _bytes(size: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"
+
+
+def _seconds(time: float) -> str:
+    if time < 120:
+        return f"{time:.2g} s" if time < 10 else f"{time:.0f} s"
+    return f"{time / 60:.2g} min" if time < 7200 else f"{time / 3600:.2g} h"

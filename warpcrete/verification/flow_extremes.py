@@ -1,0 +1,221 @@
+"""Flows at the edge of what makes sense: each stays within bounds, or is refused or stopped, with the reason told.
+
+A column of the paper's concrete no. 1 in a channel or a tube, ten particles across; one thing at a time at its
+extremes, then many at once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import ConvergenceError, InstabilityError, SceneError
+from ..mps.scene import Aggregates, FluidScene
+from ..mps.simulation import FluidSimulation
+from ..mps.theory import CONCRETES, Concrete
+
+STEPS, LONG = 100, 2000
+SAMPLES = 20
+BALANCE, VOLUME, SPEED, CLOSEST = 0.2, 0.015, 4.0, 0.3
+"""What counts as within bounds: of the piston's force that nothing bears, after the first tenth of the steps; of the
+volume that is lost or won; fastest particle over the fastest of theory; nearest two particles over their spacing."""
+PAPER = CONCRETES["no1"]
+ACROSS = 10
+
+
+Case = tuple[str, Callable[[], FluidScene], int]
+
+
+@dataclass(frozen=True)
+class FlowOutcome:
+    """What became of one flow."""
+
+    name: str
+    stopped: str
+    """The error's message; empty if the flow went to its end."""
+    refused: bool
+    """Before it began."""
+    balance: float
+    volume: float
+    speed: float
+    closest: float
+    steps: int
+    must: str = ""
+    """What the flow must do: `run`, or stop for a reason (part of the message); empty if either is right."""
+
+    @property
+    def acceptable(self) -> bool:
+        """Within bounds; or stopped with time, quantity and cures named, or refused with the field; as it must."""
+        if self.stopped:
+            words = (" = ", ": ") if self.refused else ("t = ", "usual cure")
+            return all(word in self.stopped for word in words) and self.must in self.stopped
+        within = self.balance <= BALANCE and self.volume <= VOLUME and self.speed <= SPEED and self.closest >= CLOSEST
+        return within and self.must in ("", "run")
+
+
+def column(
+    dimensions: int = 2, *, diameter: float = 0.1, spacing: float | None = None, length: float | None = None,
+    flow: float = 1.5e-3, time_step: float = 5e-4, gravity: float = 9.81, aggregates: float = 0.0, **concrete: float,
+) -> FluidScene:  # fmt: skip
+    """The scene; `aggregates` is a fraction of the volume, `concrete` replaces constants of the paper's no. 1."""
+    constants = {name: getattr(PAPER, name) for name in
+                 ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")}  # fmt: skip
+    mixed = Concrete(name="own", **{**constants, **concrete})
+    grains = Aggregates(fraction=aggregates, mortar=mixed, sizes=((2e-3, 5e-3, 1.0),)) if aggregates else None
+    return FluidScene(
+        name="column", concrete=mixed, dimensions=dimensions, radius=diameter / 2,
+        spacing=spacing or diameter / ACROSS, length=length or (2.0 if dimensions == 2 else 1.2) * diameter,
+        velocity=flow / (math.pi * (diameter / 2) ** 2), time_step=time_step, gravity=gravity, aggregates=grains,
+        duration=1.0, sample_interval=time_step,
+    )  # fmt: skip
+
+
+def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: str, steps: int = STEPS) -> FlowOutcome:
+    """Run `steps` steps under the watch."""
+    stopped, refused = "", False
+    top = math.nan
+    rows: list[dict[str, float]] = []
+    closest, taken = math.inf, 0
+    try:
+        simulation = FluidSimulation(make(), device=device, precision=precision, threads=1)
+        top = simulation.top_speed
+        simulation.prepare()
+        for _ in range(SAMPLES):
+            simulation.flow.take(max(steps // SAMPLES, 1))
+            taken = simulation.flow.steps
+            rows.append(simulation.measure())
+            simulation.watch_row(rows[-1])
+        closest = _closest(simulation)
+    except SceneError as error:
+        stopped, refused = str(error), True
+    except (InstabilityError, ConvergenceError) as error:
+        stopped = str(error)
+    late = rows[len(rows) // 10 :]
+    largest = {key: max((abs(row[key]) for row in late), default=0.0)
+               for key in ("force_balance_error", "volume_error", "fastest")}  # fmt: skip
+    return FlowOutcome(
+        name, stopped, refused, largest["force_balance_error"], largest["volume_error"], largest["fastest"] / top,
+        closest, taken, MUST.get(name, "" if name.startswith("corner") else "run"),
+    )  # fmt: skip
+
+
+def _closest(simulation: FluidSimulation) -> float:
+    """Distance of the nearest two particles, over their spacing."""
+    x = simulation.state.particles.position.numpy().astype(float)
+    order = np.argsort(x[:, -1], kind="stable")
+    x, reach = x[order], simulation.state.layout.spacing
+    best = math.inf
+    for shift in range(1, len(x)):
+        apart = x[shift:, -1] - x[:-shift, -1]
+        near = apart < min(best, reach)
+        if not near.any():
+            break
+        best = min(best, float(np.linalg.norm(x[shift:][near] - x[:-shift][near], axis=1).min()))
+    return best / reach
+
+
+MUST: dict[str, str] = {
+    f"{d}D: {name}": reason
+    for d in (2, 3)
+    for name, reason in (
+        ("spacing of 2 across", "at least 4 are needed"),
+        ("time step 0.1 s", "half a particle"),
+        ("a column one spacing long", "must hold 8 particles"),
+        ("a column of 1 km", "did not converge"),
+        ("aggregate 0.6", "does not fit"),
+        ("no slip for 1 s", ""),
+        ("a concrete that shears, for 1 s", ""),
+    )
+}
+"""What flows must do that must not run, as part of the message; empty where either is right."""
+AXES: dict[str, tuple[float, float]] = {
+    "viscosity": (0.1, 1e5),
+    "yield_stress": (0.0, 1e4),
+    "slip_viscosity": (1.0, 1e7),
+    "slip_yield": (0.0, 1e4),
+    "density": (500.0, 8000.0),
+    "flow": (1e-6, 1e-1),
+    "gravity": (0.0, 981.0),
+}
+"""Of which all corners are run, too."""
+
+
+def scenes() -> Iterator[Case]:
+    """Name, scene and steps of every case: single extremes, special ones, corners."""
+    for d in (2, 3):
+        yield from _singles(f"{d}D: ", d)
+    for corner in itertools.product(*AXES.values()):
+        label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
+        values: dict[str, Any] = dict(zip(AXES, corner))
+        # The piston may pass half a spacing a step.
+        step = min(5e-4, 0.3 * 0.01 * math.pi * 0.05**2 / values["flow"])
+        yield f"corner: {label}", lambda values=values, step=step: column(2, time_step=step, **values), STEPS
+
+
+def _singles(prefix: str, d: int) -> Iterator[Case]:
+    def case(name: str, **changes: Any) -> Case:
+        return prefix + name, lambda: column(d, **changes), STEPS
+
+    yield case("all at their middle")
+    for name, values in AXES.items():
+        for value in values:
+            step = {"time_step": 2e-5} if (name, value) == ("flow", 1e-1) else {}
+            yield case(f"{name} {value:g}", **{name: value}, **step)
+    yield case("spacing of 4 across", spacing=0.025, length=0.2)
+    yield case("spacing of 20 across", spacing=0.005)
+    yield case("spacing of 2 across", spacing=0.05)
+    for step in (1e-6, 2e-3, 1e-2, 0.1):
+        yield case(f"time step {step:g} s", time_step=step)
+    for diameter in (0.01, 2.0):
+        flow = 1.5e-3 * (diameter / 0.1) ** 2
+        yield case(f"diameter {diameter:g} m", diameter=diameter, flow=flow, time_step=5e-4 * min(1.0, diameter / 0.1))
+    yield case("a column eight spacings long", length=0.08)
+    yield case("a column one spacing long", length=0.01)
+    yield case("no slip, Newtonian", slip_viscosity=1e7, slip_yield=0.0, yield_stress=0.0, viscosity=20.0)
+    shears = dict(viscosity=30.0, yield_stress=40.0, slip_viscosity=1000.0, slip_yield=20.0, density=2350.0)
+    for name, changes in (("no slip for 1 s", dict(slip_viscosity=1e6, slip_yield=0.0)),
+                          ("a concrete that shears, for 1 s", shears)):  # fmt: skip
+        yield prefix + name, lambda changes=changes: column(d, **changes), LONG
+    yield case("nothing but slip", slip_viscosity=1.0, slip_yield=0.0)
+    if d == 2:
+        yield case("a column of 1 km", diameter=2.0, spacing=0.25, length=1000.0, flow=1.5e-3 * 400)
+        for fraction in (0.05, 0.35, 0.6):
+            yield case(f"aggregate {fraction:g}", spacing=1e-3, diameter=0.04, length=0.06, flow=2e-4,
+                       time_step=2e-4, aggregates=fraction)  # fmt: skip
+
+
+def matrix(device: str, precision: str) -> list[FlowOutcome]:
+    """Run every flow."""
+    return [outcome(name, make, device, precision, steps) for name, make, steps in scenes()]
+
+
+def table(outcomes: list[FlowOutcome]) -> str:
+    """Markdown table; corners are summed up in one line for each way they ended."""
+    lines = ["| flow | unbalanced | volume | fastest over theory | nearest | outcome |", "|---|---|---|---|---|---|"]
+    corners = [o for o in outcomes if o.name.startswith("corner")]
+    for o in outcomes:
+        if o not in corners:
+            verb = "refused" if o.refused else "stopped"
+            end = f"{verb}: {o.stopped}" if o.stopped else f"within bounds after {o.steps} steps"
+            figures = f"{o.balance:.2g} | {o.volume:.1g} | {o.speed:.2f} | {o.closest:.2f}"
+            lines.append(f"| {o.name} | {'- | - | - | -' if o.stopped else figures} | {end} |")
+    ended = [o for o in corners if not o.stopped]
+    if ended:
+        lines.append(
+            f"| {len(ended)} of {len(corners)} corners of {', '.join(AXES)} "
+            f"| up to {max(o.balance for o in ended):.2g} | up to {max(o.volume for o in ended):.1g} | up to {max(o.speed for o in ended):.2f} "
+            f"| {min(o.closest for o in ended):.2f} or more | within bounds |"
+        )
+    cut = [o for o in corners if o.stopped]
+    for reason in ("did not converge", "fastest", "forces do not balance", "left the column", "pressure", ""):
+        these = [o for o in cut if reason in o.stopped]
+        cut = [o for o in cut if o not in these]
+        if these:
+            example = f"for example {these[0].name[8:]}"
+            lines.append(f"| {len(these)} corners, {example} | | | | | stopped: {these[0].stopped} |")
+    return "\n".join(lines) + "\n"
