@@ -49,6 +49,8 @@ PUBLISHED = {
 
 FEWEST = 30
 """Aggregates that stand for concrete: fewer are so many stones."""
+LEAK = 0.01
+"""Part of the aggregates that may slip past the plug."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -134,6 +136,11 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
+    passed = _past_plug(run)
+    if passed is not None:
+        found["plug holds"] = (
+            passed[0] <= LEAK * passed[1], f"{passed[0]} of {passed[1]} aggregates went past it"
+        )  # fmt: skip
     aggregates = sum(group == "" for group in bodies.group)
     if aggregates < FEWEST:
         found["enough aggregates"] = (False, f"{aggregates}; {FEWEST} or more stand for concrete")
@@ -144,6 +151,16 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
+
+
+def _past_plug(run: Run) -> tuple[int, int] | None:
+    """Aggregates that are ahead of the plug of balls, and how many there are; None without one."""
+    bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
+    plug = np.array([group == "plug" for group in bodies.group], bool)
+    if not plug.any():
+        return None
+    s = axis.along(bodies.position)
+    return int(np.count_nonzero(s[~plug] > s[plug].max() + 0.5 * bodies.size[~plug])), int(np.count_nonzero(~plug))
 
 
 def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:
@@ -159,15 +176,15 @@ def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:
     return Axis(origin, tangent, (arc, Line(max(length - arc.length, 0.1))))
 
 
-def plug_points(axis: Axis, radius: float, at: float, ball: float) -> np.ndarray:
-    """Centres of two layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
+def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
+    """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     if radius / ball > 1e5**0.5:
         refuse("plug_ball", ball, f"would take {2 * math.pi * np.square(radius / ball):.2g} balls to plug the pipe",
                "use larger balls, a plate or none")  # fmt: skip
     local = []
-    for layer in range(2):
+    for layer in range(layers):
         ring = radius - ball / 2
         while ring > ball / 4:
             count = max(1, int(2 * math.pi * ring / ball))
@@ -209,7 +226,8 @@ def _plug(
     """Bodies, drives and bonds of a plug of balls, or a plate."""
     if given.plug == "balls":
         bore = _odd_bore(given, axis, pipe, given.length, given.front)
-        points = plug_points(axis, bore.smallest if bore is not None else given.radius, given.length, given.plug_ball)
+        points = plug_points(axis, bore.smallest if bore is not None else given.radius, given.length,
+                             given.plug_ball, given.layers)  # fmt: skip
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=given.density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * given.area)
         # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.

@@ -9,7 +9,7 @@ import trimesh
 from pumping import SMALL, open_tube
 
 import warpcrete
-from warpcrete import Simulation, scenes
+from warpcrete import SceneError, Simulation, scenes
 from warpcrete.geometry.axis import Arc, Axis, Line
 
 
@@ -118,3 +118,52 @@ def test_elbow_axis_goes_through_its_pieces():
     assert points[1] == pytest.approx([0.5 * (1 - math.sqrt(0.5)), 0, 0.5 * math.sqrt(0.5)])
     assert points[2] == pytest.approx([0.5, 0, 0.5]) and points[3] == pytest.approx([0.8, 0, 0.5])
     assert tangents[3] == pytest.approx([1, 0, 0], abs=1e-12)
+
+
+def test_the_arc_length_of_points_beside_an_axis():
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.3), Arc(0.5, math.pi / 2, (1, 0, 0)), Line(0.4)))
+    s = np.linspace(-0.2, axis.length + 0.3, 60)
+    points, _, normal, side = axis.frame(s)
+    offset = 0.04 * np.cos(3 * s)[:, None] * normal + 0.05 * np.sin(2 * s)[:, None] * side
+    np.testing.assert_allclose(axis.along(points + offset), s, atol=1e-12)
+    np.testing.assert_allclose(axis.nearest(points + offset), points, atol=1e-12)
+
+
+def test_a_plug_that_lets_aggregates_past_fails_the_check():
+    """Made up: two of a hundred aggregates lie ahead of the plug's foremost ball by more than their radius."""
+    module = sys.modules["warpcrete.scenes.pipe"]
+    run = Simulation(scenes.pipe(**SMALL | dict(travel=1e-3, settle=0.0)), device="cpu").run()
+    held = module.check(run)["plug holds"]
+    assert held[0] and held[1].startswith("0 of ")
+    plug = [k for k, group in enumerate(run.bodies.group) if group == "plug"]
+    loose = [k for k, group in enumerate(run.bodies.group) if group == ""]
+    front = run.bodies.position[plug, 2].max()
+    few = max(1, len(loose) // 100)
+    for count, holds in ((few, True), (len(loose) // 100 + 2, False)):
+        run.bodies.position[loose[:count], 2] = front + 0.51 * run.bodies.size[loose[:count]]
+        assert module.check(run)["plug holds"] == (holds, f"{count} of {len(loose)} aggregates went past it")
+    bare = Simulation(scenes.pipe(**SMALL | dict(travel=1e-3, settle=0.0, plug="none")), device="cpu").run()
+    assert "plug holds" not in module.check(bare)
+
+
+def test_layers_of_the_plug():
+    parameters = sys.modules["warpcrete.scenes.pipe"].scene.parameters
+    assert parameters().layers == 2 and parameters(unit="C").layers == 6 and parameters(plug_layers=3).layers == 3
+    assert parameters(unit="D", diameter=0.1).front == pytest.approx(1.0 + 4 * 0.01)
+    scene = scenes.pipe(unit="C", plug_layers=4)
+    one = scenes.pipe(unit="C", plug_layers=1)
+    assert len(scene.bodies[0].positions) == 4 * len(one.bodies[0].positions)
+    with pytest.raises(SceneError, match="plug_layers = 2: means nothing unless plug is balls"):
+        scenes.pipe(plug="none", plug_layers=2)
+
+
+@pytest.mark.slow
+def test_a_thin_plug_tips_over_in_a_bend_and_the_usual_one_does_not(device):
+    module = sys.modules["warpcrete.scenes.pipe"]
+    # As it is given, but for the travel: it tips while the concrete settles.
+    bend = dict(unit="C", travel=0.02, ramp=0.01)
+    thin, usual = (
+        module.check(Simulation(scenes.pipe(**bend | more), device=device).run())["plug holds"]
+        for more in (dict(plug_layers=2), {})
+    )
+    assert not thin[0] and usual[0] and usual[1].startswith("0 of ")

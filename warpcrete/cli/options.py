@@ -96,7 +96,7 @@ def run_options() -> list[click.Parameter]:
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)
             for kind in RECORDERS
         ),
-        click.Option(["--accuracy"], 
+        click.Option(["--accuracy"],
                      help="cheapest settings for this error, as 5%, by the trade of --trade or a shipped one"),
         click.Option(["--trade"], type=click.Path(path_type=Path), help="folder of a 'warpcrete trade' of this scene"),
         click.Option(["--pipeline-vertical"], type=float, help="pipeline height [m] for the total pressure (Eq. 13)"),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
 
+Found = TypeVar("Found")
 Probe = Callable[[Any], Mapping[str, float]]
 """Times something with a simulation that stands at t = 0; times in seconds by what they are of."""
 
@@ -51,13 +52,16 @@ class Forecast:
         return sum(self.memory.values())
 
 
+def timed(call: Callable[[], Found], device: Any) -> tuple[Found, float]:
+    """What a call returns, and its wall time, device finished [s]."""
+    wp.synchronize_device(device)
+    begun = time.perf_counter()
+    found = call()
+    wp.synchronize_device(device)
+    return found, time.perf_counter() - begun
+
+
 def median_time(call: Callable[[], Any], device: Any, repeats: int = 3) -> float:
-    """Median wall time of a call, device finished [s]; the first one is not counted."""
-    times = []
-    for _ in range(repeats + 1):
-        wp.synchronize_device(device)
-        begun = time.perf_counter()
-        call()
-        wp.synchronize_device(device)
-        times.append(time.perf_counter() - begun)
-    return sorted(times[1:])[(repeats - 1) // 2]
+    """Median wall time of a call [s]; a first one, which may load kernels, is not counted."""
+    call()
+    return sorted(timed(call, device)[1] for _ in range(repeats))[(repeats - 1) // 2]

@@ -17,6 +17,8 @@ from .laws.linear import DASHPOTS
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Letters of the paper, and words of earlier versions."""
+UPRIGHT = 0.4
+"""Thickness over diameter of a plug that stays upright at the end of a bend; 0.13 tips over (measured)."""
 WIDEST_STONE = 0.4
 """Of the pipe's diameter, the largest rounded aggregate that is pumped (ACI 304.2R; a third if it is crushed)."""
 
@@ -34,6 +36,7 @@ OF_MESHES = Needs("shapes", of_meshes, "names meshes")
 SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
 NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
+OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
 PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
 
 
@@ -128,6 +131,9 @@ class PlugParameters:
     plug: Annotated[str, "balls (bonded), plate (straight pipes), none", OneOf(("balls", "plate", "none"))] = "balls"
     plug_pressure: Annotated[float, "against the flow [Pa]", Within(0), PLUGGED] = 1e3
     plug_ball: Annotated[float, "diameter of the balls, half the thickness of the plate [m]", Above(), PLUGGED] = 10e-3
+    plug_layers: Annotated[
+        int | None, "of balls; default: 2, in bends as many as 0.4 diameters hold", Within(1, 1000), OF_BALLS
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +221,18 @@ class PipeParameters(
     @property
     def front(self) -> float:
         """Where the concrete and its plug end at the start [m]."""
-        return self.length + (2 * self.plug_ball if self.plug == "balls" else 0.0)
+        return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
+
+    @property
+    def layers(self) -> int:
+        """Of the plug's balls.
+
+        Level concrete weighs more on the lower edge of a plug than the pressure on it holds back: a thin one tips over,
+        and the concrete runs out past it.
+        """
+        if self.plug_layers is not None:
+            return self.plug_layers
+        return max(2, math.ceil(UPRIGHT * self.diameter / self.plug_ball - 1e-9)) if self.is_bend else 2
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

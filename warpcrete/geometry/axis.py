@@ -112,8 +112,16 @@ class Axis:
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
         """Point of the axis, its straight extensions included, that is nearest to each of `points`, shape (n, 3)."""
+        return self._projected(points)[0]
+
+    def along(self, points: np.ndarray) -> np.ndarray:
+        """Arc length of that point of the axis [m], negative before its start, shape (n,)."""
+        return self._projected(points)[1]
+
+    def _projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = np.atleast_2d(np.asarray(points, dtype=float))
         best, distance = np.zeros_like(points), np.full(len(points), np.inf)
+        length = np.zeros(len(points))
         for row in self.parametrised():
             local = points - row["start"]
             if row["arc"]:
@@ -122,13 +130,15 @@ class Axis:
                 angle = np.clip(angle, row["lower"], row["upper"])[:, None]
                 turned = np.cos(angle) * row["outward"] + np.sin(angle) * row["tangent"] - row["outward"]
                 place = row["start"] + row["radius"] * turned
+                s = row["begin"] + row["radius"] * angle[:, 0]
             else:
                 along = np.clip(local @ row["tangent"], row["lower"], row["upper"])[:, None]
                 place = row["start"] + along * row["tangent"]
+                s = row["begin"] + along[:, 0]
             apart = np.linalg.norm(points - place, axis=1)
             nearer = apart < distance
-            best[nearer], distance[nearer] = place[nearer], apart[nearer]
-        return best
+            best[nearer], distance[nearer], length[nearer] = place[nearer], apart[nearer], s[nearer]
+        return best, length
 
     def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Points, tangents and two unit normals at arc lengths `s`, each shape (n, 3); frames do not twist."""
@@ -149,21 +159,26 @@ class Axis:
         """
         rows = []
         segments = self.segments()
+        begin = 0.0
         for number, segment in enumerate(segments):
             piece = segment["piece"]
             arc = isinstance(piece, Arc)
             upper = piece.angle if arc else piece.length
-            rows.append(dict(segment, arc=arc, lower=0.0, upper=upper, radius=piece.radius if arc else 0.0))
+            radius = piece.radius if arc else 0.0
+            rows.append(dict(segment, arc=arc, lower=0.0, upper=upper, radius=radius, begin=begin))
+            begin += piece.length
             if not arc and number == 0:
                 rows[-1]["lower"] = -np.inf
             if not arc and number == len(segments) - 1:
                 rows[-1]["upper"] = np.inf
         straight = dict(arc=False, outward=np.zeros(3), radius=0.0)
         if rows[0]["arc"]:
-            rows.insert(0, dict(straight, start=rows[0]["start"], tangent=rows[0]["tangent"], lower=-np.inf, upper=0.0))
+            first = dict(straight, start=rows[0]["start"], tangent=rows[0]["tangent"], begin=0.0)
+            rows.insert(0, dict(first, lower=-np.inf, upper=0.0))
         if rows[-1]["arc"]:
             points, tangents = self.at(self.length)
-            rows.append(dict(straight, start=points[0], tangent=tangents[0], lower=0.0, upper=np.inf))
+            last = dict(straight, start=points[0], tangent=tangents[0], begin=self.length)
+            rows.append(dict(last, lower=0.0, upper=np.inf))
         return rows
 
     def tube(

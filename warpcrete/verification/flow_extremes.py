@@ -206,11 +206,12 @@ def table(outcomes: list[FlowOutcome]) -> str:
             lines.append(f"| {o.name} | {'- | - | - | -' if o.stopped else figures} | {end} |")
     ended = [o for o in corners if not o.stopped]
     if ended:
-        lines.append(
-            f"| {len(ended)} of {len(corners)} corners of {', '.join(AXES)} "
-            f"| up to {max(o.balance for o in ended):.2g} | up to {max(o.volume for o in ended):.1g} | up to {max(o.speed for o in ended):.2f} "
-            f"| {min(o.closest for o in ended):.2f} or more | within bounds |"
-        )
+        figures = " | ".join((
+            f"up to {max(o.balance for o in ended):.2g}", f"up to {max(o.volume for o in ended):.1g}",
+            f"up to {max(o.speed for o in ended):.2f}", f"{min(o.closest for o in ended):.2f} or more",
+        ))  # fmt: skip
+        which = f"{len(ended)} of {len(corners)} corners of {', '.join(AXES)}"
+        lines.append(f"| {which} | {figures} | within bounds |")
     cut = [o for o in corners if o.stopped]
     for reason in ("did not converge", "fastest", "forces do not balance", "left the column", "pressure", ""):
         these = [o for o in cut if reason in o.stopped]
