@@ -225,6 +225,7 @@ def _variants(given: FlowParameters) -> dict[str, dict[str, Any]]:
         "a fifth of the flow": {"flow": flow / 5},
         "twice the flow": {"flow": 2 * flow},
         "a pipe 1.5 times as wide": wider,
+        "that pipe at a fifth of the flow": wider | {"flow": 0.45 * flow},
     }
     if given.concrete in MIXES:
         found |= {f"concrete {name}": {"concrete": name} for name in MIXES if name != given.concrete}

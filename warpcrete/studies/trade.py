@@ -263,9 +263,8 @@ def _carried(
         trade.run(other, trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
             continue  # no time was left
-        sound = bool(other.results) and not other.suspect
-        error = worst(trade.errors_of(other, trade.seeds)) if sound else None
-        found[variant] = error
+        error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
+        found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:
             points.append(other)
             if error.size > target:

@@ -102,7 +102,8 @@ class Promise:
     found: Error | None = None
     """With seeds of its own; None where there was no time for them, or there are no seeds."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene that it was tried on; None where it does not run there."""
+    """Largest error in each variant of the scene that it was tried on, by what the variant is and which checks it fails;
+    None where it does not run."""
     bound: float = math.inf
     """What is promised."""
 

@@ -1,0 +1,93 @@
+"""Measures the trades of notebooks/trade.md, and puts their tables and figures there and into the package.
+
+python notebooks/trades.py --folder trades [NAME ...]   runs those (default: none), and takes what the folder has
+
+A trade made elsewhere counts, too: trade.json and trade.png in a folder of its name are enough.
+"""
+
+import argparse
+import json
+import re
+import shutil
+from pathlib import Path
+
+from warpcrete.core.files import write_json
+from warpcrete.scenes import modules
+from warpcrete.studies.advice import SHIPPED, compact
+from warpcrete.studies.trade import resume_trade, run_trade
+
+HERE = Path(__file__).parent
+PAGE = HERE / "trade.md"
+NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
+HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
+TRADES = {
+    "pipe-vertical": ("pipe", {}, "cuda", 400),
+    "pipe-bend": ("pipe", {"unit": "D"}, "cuda", 170),
+    "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
+    "pipe-narrow": ("pipe", NARROW, "cpu", 840),
+    "channel": ("channel", {}, "cpu", 180),
+    "tube": ("tube", {}, "cpu", 360),
+    "two-phases": ("channel", {"aggregates": True, "duration": 0.1}, "cpu", 240),
+}
+"""Scene, parameters, device and budget [s]."""
+
+
+def measure(name: str, folder: Path) -> None:
+    """Make a trade, or go on with it."""
+    scene, parameters, device, budget = TRADES[name]
+    out = folder / name
+    if out.exists():
+        resume_trade(out, modules()[scene], budget=budget)
+    else:
+        run_trade(scene, modules()[scene], base=parameters, device=device, budget=budget, out=out)
+
+
+def section(name: str, record: dict) -> str:
+    """Command, figure and table of promises."""
+    scene, parameters, device, budget = TRADES[name]
+    options = " ".join(f"--{key.replace('_', '-')}" + ("" if value is True else f" {value:g}" if not isinstance(value, str)
+                                                       else f" {value}") for key, value in parameters.items())  # fmt: skip
+    command = re.sub(" +", " ", f"warpcrete trade {scene} {options} --budget {budget}s --device {device}")
+    lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](images/trade_{name}.png)", ""]
+    lines += ["| error wanted | setting | time over as given | promised | with fresh seeds | worst of other scenes |",
+              "|---|---|---|---|---|---|"]  # fmt: skip
+    for promise in record["promises"]:
+        wanted = f"{100 * promise['target']:g} %"
+        if promise["setting"] is None:
+            lines.append(f"| {wanted} | none that was measured stays within | - | - | - | - |")
+            continue
+        found, carried = promise["found"], promise.get("carried") or {}
+        fresh = f"{100 * found['shift']:+.2g} +- {100 * (found['interval'] or 0):.2g} %" if found else "-"
+        ran = {what: error["shift"] for what, error in carried.items() if error}
+        worst = max(ran, key=lambda what: abs(ran[what]), default=None)
+        other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst else "-"
+        failed = [what for what, error in carried.items() if not error]
+        other += f"; does not run: {', '.join(failed)}" if failed else ""
+        lines.append(f"| {wanted} | {promise['setting']} | {promise['ratio']:.3g} | {100 * promise['promised']:.2g} % | "
+                     f"{fresh} | {other} |")  # fmt: skip
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", choices=[*TRADES, []], help="trades to measure")
+    parser.add_argument("--folder", type=Path, required=True)
+    given = parser.parse_args()
+    for name in given.names:
+        measure(name, given.folder)
+    page = PAGE.read_text()
+    SHIPPED.mkdir(exist_ok=True)
+    for name in TRADES:
+        source = given.folder / name
+        if (source / "trade.json").is_file():
+            record = json.loads((source / "trade.json").read_text())
+            page = re.sub(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
+                          lambda found, text=section(name, record): f"{found[1]}{text}\n{found[2]}", page, flags=re.S)  # fmt: skip
+            shutil.copy(source / "trade.png", HERE / "images" / f"trade_{name}.png")
+            write_json(SHIPPED / f"{name}.json", compact(record))
+            print(f"{name}: {record['machine']}")
+    PAGE.write_text(page)
+
+
+if __name__ == "__main__":
+    main()
