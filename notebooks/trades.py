@@ -45,8 +45,8 @@ def measure(name: str, folder: Path) -> None:
 def section(name: str, record: dict) -> str:
     """Command, figure and table of promises."""
     scene, parameters, device, budget = TRADES[name]
-    options = " ".join(f"--{key.replace('_', '-')}" + ("" if value is True else f" {value:g}" if not isinstance(value, str)
-                                                       else f" {value}") for key, value in parameters.items())  # fmt: skip
+    given = [(f"--{key.replace('_', '-')}", "" if value is True else f"{value}") for key, value in parameters.items()]
+    options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     command = re.sub(" +", " ", f"warpcrete trade {scene} {options} --budget {budget}s --device {device}")
     lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](images/trade_{name}.png)", ""]
     lines += ["| error wanted | setting | time over as given | promised | with fresh seeds | worst of other scenes |",
@@ -63,8 +63,15 @@ def section(name: str, record: dict) -> str:
         other = f"{100 * ran[worst]:+.2g} % ({worst})" if worst else "-"
         failed = [what for what, error in carried.items() if not error]
         other += f"; does not run: {', '.join(failed)}" if failed else ""
-        lines.append(f"| {wanted} | {promise['setting']} | {promise['ratio']:.3g} | {100 * promise['promised']:.2g} % | "
-                     f"{fresh} | {other} |")  # fmt: skip
+        cells = [
+            wanted,
+            promise["setting"],
+            f"{promise['ratio']:.3g}",
+            f"{100 * promise['promised']:.2g} %",
+            fresh,
+            other,
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -81,8 +88,9 @@ def main() -> None:
         source = given.folder / name
         if (source / "trade.json").is_file():
             record = json.loads((source / "trade.json").read_text())
-            page = re.sub(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)",
-                          lambda found, text=section(name, record): f"{found[1]}{text}\n{found[2]}", page, flags=re.S)  # fmt: skip
+            before, _, rest = page.partition(f"<!-- {name} -->\n")
+            _, _, after = rest.partition(f"<!-- /{name} -->")
+            page = f"{before}<!-- {name} -->\n{section(name, record)}\n<!-- /{name} -->{after}"
             shutil.copy(source / "trade.png", HERE / "images" / f"trade_{name}.png")
             write_json(SHIPPED / f"{name}.json", compact(record))
             print(f"{name}: {record['machine']}")

@@ -10,6 +10,12 @@ pytest.importorskip("ipykernel")
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 
+EXPECTED = {
+    "01_pump_concrete": (3, 1.1, 10.0),  # a rougher pipe needs more pressure
+    "02_trade": (1, 0.0, 1.0),  # an error that was found, over what was promised
+}
+"""Pictures, and the range of the last number that is printed."""
+
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs(path, tmp_path):
@@ -17,9 +23,9 @@ def test_notebook_runs(path, tmp_path):
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
     outputs = [o for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
     pictures = [o for o in outputs if "image/png" in o.get("data", {})]
-    assert len(pictures) >= 3
-    ratio = float(outputs[-1]["text"].split()[-1])
-    assert ratio > 1.1  # a rougher pipe needs more pressure
+    pictured, lower, upper = EXPECTED[path.stem]
+    assert len(pictures) >= pictured
+    assert lower < float(outputs[-1]["text"].split()[-1]) <= upper
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -16,7 +16,7 @@ from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import advise
+from warpcrete.studies.advice import SHIPPED, advise, compact, shipped
 from warpcrete.studies.fronts import Error, cheapest_within, difference, front, next_within, student, worst
 from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point, Trade
@@ -409,10 +409,54 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     advice = advise(folder, "channel", channel, COARSE, 0.2)
     assert {name: made[name] for name in advice.changes} == advice.changes
     for words, message in (
-        (("--accuracy", "5%"), "accuracy = '5%': needs --trade FOLDER"),
         (("--trade", folder), "means nothing without --accuracy"),
         (("--accuracy", "much", "--trade", folder), "must be per cent"),
         (("--accuracy", "5%", "--trade", tmp_path), "is no trade's folder"),
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
+def test_shipped_trades_are_of_scenes_of_this_version(path):
+    record = json.loads(path.read_text())
+    module = modules()[record["scene"]]
+    scene = module.scene(**record["parameters"])  # refuses what it does not know
+    assert set(record["quantities"]) <= {each.name for each in method_of(scene).quantities}
+    reached = [p for p in record["promises"] if p["setting"]]
+    assert reached and all(p["promised"] <= p["target"] for p in reached) and record["machine"]
+    for promise in reached:
+        advice = advise(path, record["scene"], module, record["parameters"], promise["target"])
+        assert not advice.left_out and not advice.outside and advice.promised <= promise["target"]
+        module.scene(**module.scene.meaningful({**record["parameters"], **advice.changes}))
+
+
+def test_the_nearest_shipped_trade_is_taken():
+    pipes, channels = modules()["pipe"], modules()["channel"]
+    assert shipped("pipe", pipes, {}, True).stem == "pipe-vertical"
+    assert shipped("pipe", pipes, {"unit": "D", "velocity": 0.4}, True).stem == "pipe-bend"
+    near = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.25}
+    assert shipped("pipe", pipes, near, False).stem == "pipe-narrow"
+    assert shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
+    assert shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
+    assert shipped("nothing", pipes, {}, False) is None
+
+
+def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
+    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
+    done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for words in ("by the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
+        assert words in done.stderr
+    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    assert made["tolerated_error"] == pytest.approx(0.1)
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    advice = advise(SHIPPED / "channel.json", "channel", modules()["channel"], {"flow": 0.002}, 0.1)
+    assert max(abs(result["pressure_error"]), abs(result["slip_velocity_error"])) <= advice.promised <= 0.1
+
+
+def test_what_is_shipped_of_a_trade(flow_trade):
+    record = json.loads((flow_trade.folder / "trade.json").read_text())
+    kept = compact(record)
+    assert kept["promises"] == record["promises"] and len(kept["points"]) == len(record["points"])
+    assert "provenance" not in kept and "knobs" not in kept and kept["machine"] == record["machine"]

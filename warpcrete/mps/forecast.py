@@ -56,7 +56,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
             solves=(flow.viscous, flow.projection, flow.shifting), rest=simulation).items() if size},
         time_step=scene.time_step,
         limits={"half a spacing of the piston's way": 0.5 * scene.spacing / scene.velocity},
-        governing="as it is given: solves are implicit, so that viscosity and pressure set no limit",
+        governing="choice: solves are implicit, so that viscosity and pressure set no limit",
         steps=steps,
         parts={"placing": placing, "graphs": max(first - min(between, TAKEN) * step, 0.0), "steps": steps * step,
                "samples": samples * sample},

@@ -198,7 +198,7 @@ def _lines(told: Explanation) -> Iterator[str]:
         yield f"  left out: {', '.join(name for name in f.features if name not in used)}"
     yield f"memory: {_bytes(f.total_memory)}"
     yield from (f"  {name:20s} {_bytes(size)}" for name, size in f.memory.items())
-    yield f"time step: {f.time_step:.3g} s, governed by {f.governing}"
+    yield f"time step: {f.time_step:.3g} s, by {f.governing}"
     yield from (f"  {name:36s} {limit:.3g} s" for name, limit in f.limits.items())
     yield f"steps: {f.steps:,.0f} for {f.duration:.3g} s"
     yield f"wall time: {_seconds(f.wall_time)} without recordings, kernels compiled"

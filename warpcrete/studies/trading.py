@@ -102,8 +102,8 @@ class Promise:
     found: Error | None = None
     """With seeds of its own; None where there was no time for them, or there are no seeds."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene that it was tried on, by what the variant is and which checks it fails;
-    None where it does not run."""
+    """Largest error in each variant of the scene that it was tried on, by what that is and which checks it fails; None
+    where it does not run."""
     bound: float = math.inf
     """What is promised."""
 
