@@ -49,6 +49,7 @@ PUBLISHED = {
 
 FEWEST = 30
 """Aggregates that stand for concrete: fewer are so many stones."""
+MOST_BALLS = 600_000
 LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
 BALANCED = 0.01
@@ -180,8 +181,9 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
-    if radius / ball > 1e5**0.5:
-        refuse("plug_ball", ball, f"would take {2 * math.pi * np.square(radius / ball):.2g} balls to plug the pipe",
+    count = layers * math.pi * (radius / ball) ** 2
+    if count > MOST_BALLS:
+        refuse("plug_ball", ball, f"would take {count:.2g} balls to plug the pipe",
                "use larger balls, a plate or none")  # fmt: skip
     local = []
     for layer in range(layers):

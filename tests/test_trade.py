@@ -439,7 +439,25 @@ def test_the_nearest_shipped_trade_is_taken():
     assert shipped("pipe", pipes, near, False).stem == "pipe-narrow"
     assert shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
     assert shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
+    assert shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
+    # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
+    for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
+        assert shipped("pipe", pipes, {"unit": unit}, True).stem == trade
+    assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
+    assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
+    assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert shipped("nothing", pipes, {}, False) is None
+
+
+def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
+    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
+    done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",
+                   "20%", "--out", tmp_path / "r", *bare)  # fmt: skip
+    assert done.returncode in (0, 3) and "phases one phase" in done.stderr, done.stderr
+    # What is chosen by hand stays, and is said to be missing from the setting.
+    done = command("run", "channel", "--precision", "float32", "--accuracy", "5%", "--out", tmp_path / "s", *bare)
+    setting = json.loads((SHIPPED / "channel.json").read_text())["promises"][2]["levels"]
+    assert ("without precision float64" in done.stderr) is (setting.get("precision") == "float64")
 
 
 def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,8 @@ def chosen(
         click.echo(f"note: {found.setting}, without {'; '.join(found.left_out)}: nothing is promised of that", err=True)
     else:
         click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-                   f"in {found.ratio:.2g} of the time ({found.time:.2g} s there)", err=True)  # fmt: skip
+                   f"in {found.ratio:.2g} of the time"
+                   + (f" ({found.time:.2g} s there)" if math.isfinite(found.time) else ""), err=True)  # fmt: skip
     if found.tried:
         click.echo(f"note: holds for {', '.join(found.tried)}, too", err=True)
     if found.outside:

@@ -93,10 +93,11 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         if resume is None:
             parameters = {key: value for key, value in given.items() if key not in common}
             if accuracy is not None or trade is not None:
-                changes = _part("advice").chosen(name, module, parameters, accuracy, trade, settings["device"])
+                asked = parameters | {key: given[key] for key in ("precision",) if key in given}
+                changes = _part("advice").chosen(name, module, asked, accuracy, trade, settings["device"])
                 if "precision" not in given:
                     settings["precision"] = changes.pop("precision", settings["precision"])
-                parameters = module.scene.resolved(parameters) | changes
+                parameters = module.scene.meaningful(module.scene.resolved(parameters) | changes)
             job.run(name, module, parameters, settings)
             return
         changed = [key for key in given if key not in ("resume", "quiet", "live")]

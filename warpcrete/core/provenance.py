@@ -83,6 +83,8 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(float(value).hex().encode())
     elif isinstance(value, str | None):
         digest.update(repr(value).encode())
+    elif hasattr(value, "vertices") and hasattr(value, "faces"):  # a mesh of trimesh, whose parts refer to each other
+        _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
     else:
         digest.update(type(value).__qualname__.encode())
         _feed(digest, {k: v for k, v in vars(value).items() if not k.startswith("_")})

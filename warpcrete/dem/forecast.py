@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import parallel
+from ..core.device import checked_threads, parallel
 from ..core.footprint import footprint
 from ..core.forecast import Forecast, Probe, median_time
 from ..core.run_loop import drive_alone
@@ -79,7 +79,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
         parts=parts,
         frame={name: spent * factor for name, spent in frames.items()},
         duration=scene.duration,
-        remarks=scene.remarks,
+        remarks=(*scene.remarks, *ready.remarks),
     )  # fmt: skip
 
 
@@ -99,6 +99,10 @@ class _Copy:
         self.scene, self.device = scene, device
         self.factor = 1.0
         self.packing = 0.0
+        self.remarks: list[str] = []
+        container = scene.fill.container if scene.fill is not None else None
+        if isinstance(container, PipeContainer) and container.bore is not None:
+            self.remarks.append("the pipe is taken to be as wide as where it begins")
         packed = self._packed(precision, threads) if scene.fill is not None else None
         simulation = ElementSimulation(
             replace(scene, settle=None), device=str(device), precision=precision, threads=threads
@@ -117,7 +121,7 @@ class _Copy:
         marks: list[float] = []
         table, report = pack(
             replace(fill, container=pilot), contact=self.scene.contact, seed=self.scene.seed, device=self.device,
-            precision=precision, threads=threads or ElementSimulation(self.scene, device=str(self.device)).threads,
+            precision=precision, threads=checked_threads(threads),
             progress=lambda done: marks.append(time.perf_counter()),
         )  # fmt: skip
         # Kernels are loaded in some chunks of steps: none counts more than three times the middle one.
@@ -217,8 +221,12 @@ class _Copy:
         finally:
             if kinds is not None:
                 simulation.state.pairs.bond.assign(kinds)
-        found["contacts without dashpots"] = safety * self._undamped()
+        if self._springs_differ:
+            found["contacts without dashpots"] = safety * self._undamped()
         whole = estimate()
+        if whole > scene.time_step.largest:
+            found["largest allowed"] = scene.time_step.largest
+            return {**found, "all together": scene.time_step.largest}, "what is allowed at most (TimeStep.largest)"
         if fixed is not None:
             return {**found, "all together": whole}, f"time_step = {fixed:g} s, as it is given"
         alone = found["contacts"]
@@ -231,11 +239,18 @@ class _Copy:
                          f"contacts alone and are {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
         else:
             words.append("contacts")
-        if found["contacts without dashpots"] > 1.1 * alone:
-            share = 100 * (1 - alone / found["contacts without dashpots"])
+        undamped = found.get("contacts without dashpots", alone)
+        if undamped > 1.1 * alone:
+            share = 100 * (1 - alone / undamped)
             words.append(f"their dashpots make it {share:.0f} % smaller than springs would")
         words.append(self._smallest())
         return {**found, "all together": whole}, "; ".join(words)
+
+    @property
+    def _springs_differ(self) -> bool:
+        """Some law has dashpots that can be told apart from its springs."""
+        laws = (self.scene.contact, *self.scene.contacts.values())
+        return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
 
     def _undamped(self) -> float:
         """Estimate of the step without dashpots, bonds left out."""

@@ -180,8 +180,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         return {"finished": (False, "there is no sample besides that at the start")}
     usual = TWO_PHASE_ACCURACY if two else ACCURACY[scene.dimensions]
     limit = usual if scene.tolerated_error is None else scene.tolerated_error
-    # The wall's stress and the profile err about as much as what the limit is of.
-    wall_limit, profile_limit = (each * max(limit / usual, 1.0) for each in (WALL_ACCURACY[two], PROFILE_ACCURACY))
+    wall_limit, profile_limit = (max(limit if limit > usual else 0.0, each)
+                                 for each in (WALL_ACCURACY[two], PROFILE_ACCURACY))  # fmt: skip
     pressure, slip, wall = (result[f"{name}_error"] for name in ("pressure", "slip_velocity", "wall_stress"))
     balance = result["force_balance_error"]
     found = {
@@ -228,7 +228,8 @@ def _variants(given: FlowParameters) -> dict[str, dict[str, Any]]:
         "that pipe at a fifth of the flow": wider | {"flow": 0.45 * flow},
     }
     if given.concrete in MIXES:
-        found |= {f"concrete {name}": {"concrete": name} for name in MIXES if name != given.concrete}
+        own = dict.fromkeys(CONSTANTS)
+        found |= {f"concrete {name}": own | {"concrete": name} for name in MIXES if name != given.concrete}
     return found | {"a concrete that shears": SHEARED}
 
 

@@ -92,7 +92,7 @@ class FlowSettings(Declared):
     tolerated_error: Annotated[
         float | None,
         "against theory, that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
-        Within(0, 1),
+        Above(),
     ] = None
 
 

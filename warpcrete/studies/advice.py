@@ -44,17 +44,23 @@ class Advice:
 
 
 def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
-    """The shipped trade of a scene that is nearest to what is `given`: of the same scene function, then least
-    parameters apart, then of the same kind of machine; None where there is none.
+    """The shipped trade of a scene that is nearest to what is `given`; None where there is none.
+
+    It is of the same scene function; then what could be traded there is most alike, then least parameters are apart,
+    then it is of the same kind of machine.
     """
     own = module.scene.resolved(given)
     found = []
     for path in sorted(SHIPPED.glob("*.json")):
         record = read_json(path)
         if record["scene"] == name:
-            apart = len(_outside(record["parameters"], own, module))
-            found.append((apart, record["device"].startswith("cuda") != on_gpu, str(path)))
-    return Path(min(found)[2]) if found else None
+            here, there = (module.scene.parameters(**each) for each in (own, record["parameters"]))
+            closed = module.trading.closed_form
+            unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
+            apart = len(outside(record["parameters"], own, module))
+            other_machine = record["device"].startswith("cuda") != on_gpu
+            found.append((closed(here) != closed(there), unlike, apart, other_machine, str(path)))
+    return Path(min(found)[-1]) if found else None
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,7 +93,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         chosen = min(within, key=lambda p: float(p["ratio"]), default=None)
         levels = dict(chosen["levels"]) if chosen else {}
         measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
-        machine = str(record.get("machine", ""))
+        machine, time = str(record.get("machine", "")), float((chosen or {}).get("time") or math.nan)
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"'{file}': holds no trade ({type(error).__name__}: {error})") from error
     if best is None:
@@ -109,22 +115,29 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         else:
             changes |= level.changes
             taken.append(f"{knob_name} {level.label}")
-    if module.trading.tolerance and module.trading.tolerance not in own:
-        changes[module.trading.tolerance] = accuracy
+    tolerance = module.trading.tolerance
+    if (
+        tolerance
+        and tolerance not in own
+        and not left_out
+        and module.trading.closed_form(module.scene.parameters(**own))
+    ):
+        changes[tolerance] = accuracy
     return Advice(
         changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
-        tuple(left_out), tuple(_outside(measured, own, module)),
+        tuple(left_out), tuple(outside(measured, own, module)),
         tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
-        float(chosen.get("time", math.nan)),
+        time,
     )  # fmt: skip
 
 
-def _outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
+def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Parameters that differ from those of the trade's scene, in words."""
-    defaults = {name: field.default for name, field in declared_fields(module.scene.parameters).items()}
+    # As the scene takes them: a letter for a unit is its name.
+    ours, theirs = (module.scene.parameters(**each) for each in (own, measured))
     found = []
-    for name, default in defaults.items():
-        here, there = own.get(name, default), measured.get(name, default)
+    for name in declared_fields(module.scene.parameters):
+        here, there = getattr(ours, name), getattr(theirs, name)
         if name not in NO_MATTER and here != there:
             found.append(f"{name} {_shown(here)} for {_shown(there)}")
     return found

@@ -11,17 +11,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.device import default_threads, find_device
+from ..core.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
 from ..core.files import read_json, write_json
 from ..core.forecast import Forecast
 from ..core.provenance import fingerprint, provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
-from .advice import shipped
+from ..scenes import modules
+from .advice import outside, shipped
 from .fronts import Error, worst
 from .trade_report import percent
-from .trading import COMBINED, GIVEN, REFERENCE
 
 FRAMES = 25.0
 """A simulated second, that `warpcrete run` records unless told otherwise."""
@@ -73,15 +73,15 @@ def explain(
     Raises what a run of it raises before its first step.
     """
     found = find_device(device)
-    threads = threads or default_threads()
-    path = _cached(scene, found, threads)
-    forecast = _read(path) if cache and path is not None else None
+    threads = checked_threads(threads)
+    path = _cached(scene, found, threads) if cache else None
+    forecast = _read(path) if path is not None else None
     if forecast is None:
         forecast = method_of(scene).forecast(scene, found, scene.precision, threads, _frames)
         words = provenance(found, scene.precision, 0)
         name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
         forecast = Forecast(**{**asdict(forecast), "device": name})
-        if cache and path is not None:
+        if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_json(path, asdict(forecast))
@@ -107,7 +107,7 @@ def _frames(simulation: Any) -> dict[str, float]:
     return found
 
 
-def _cached(scene: Any, device: Any, threads: int) -> Path | None:
+def _cached(scene: Any, device: Any, threads: int) -> Path:
     """File in the user's cache for this scene, version and device."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
@@ -128,16 +128,23 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
     """Simplifications, by what a trade measured and by what bounds the time step."""
     found = list(_by_step(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
-    found += _alone(record.get("points", []))
+    found += _alone(record.get("points", []), _knobs_of(scene))
     return tuple(sorted(found, key=lambda each: each.ratio)), source
 
 
-def _alone(points: list[dict[str, Any]]) -> Iterator[Saving]:
-    """Of a trade's points those that differ by one knob and save time."""
-    given = next((point for point in points if point["origin"] == GIVEN), None)
-    for point in points:
-        alone = point["origin"] not in (GIVEN, REFERENCE, COMBINED) and point["errors"] and not point["suspect"]
-        if given is None or not alone or not point["time"]["value"] or not given["time"]["value"]:
+def _knobs_of(scene: Any) -> set[str]:
+    """Knobs of a scene that settings may have."""
+    module = modules().get(scene.name)
+    if module is None or not scene.parameters:
+        return set()
+    return {k.name for k in module.trading.knobs(module.scene.parameters(**scene.parameters)) if k.chosen}
+
+
+def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
+    """Of a trade's points those that differ by one of the knobs and save time; the first one is the scene as given."""
+    for point in points[1:]:
+        given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]
+        if not alone or not point["time"]["value"] or not given["time"]["value"]:
             continue
         ratio = point["time"]["value"] / given["time"]["value"]
         found = [Error(name, e["shift"], e["interval"] or 0.0) for name, e in point["errors"].items()
@@ -150,9 +157,9 @@ def _alone(points: list[dict[str, Any]]) -> Iterator[Saving]:
 def _by_step(forecast: Forecast) -> Iterator[Saving]:
     """Without a kind of bonds, without dashpots: steps would be longer."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
-    if not alone or not whole or not forecast.wall_time:
-        return
-    rest = 1.0 - forecast.parts.get("steps", 0.0) / forecast.wall_time
+    if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
+        return  # a step that was given
+    rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():
         if name.startswith("contacts and ") and limit < 1.05 * whole and limit < LARGE * alone:
             others = [v for n, v in forecast.limits.items() if n.startswith("contacts and ") and n != name] + [alone]
@@ -163,8 +170,6 @@ def _by_step(forecast: Forecast) -> Iterator[Saving]:
 
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
     """Record of a trade with its knobs alone, and what it is called."""
-    from ..scenes import modules
-
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():
@@ -182,7 +187,9 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     if path is None:
         return {}, ""
     record = read_json(path)
-    return record, f"the shipped trade {path.stem!r}, {record.get('machine', '')}"
+    apart = outside(record["parameters"], dict(scene.parameters), module)
+    differs = f", which has other {', '.join(each.split()[0] for each in apart)}" if apart else ""
+    return record, f"the shipped trade {path.stem!r} on {record.get('machine', '')}{differs}"
 
 
 def _lines(told: Explanation) -> Iterator[str]:

@@ -53,7 +53,7 @@ class FlowOutcome:
         """Within bounds; or stopped with time, quantity and cures named, or refused with the field; as it must."""
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")
-            return all(word in self.stopped for word in words) and self.must in self.stopped
+            return self.must != "run" and all(word in self.stopped for word in words) and self.must in self.stopped
         within = self.balance <= BALANCE and self.volume <= VOLUME and self.speed <= SPEED and self.closest >= CLOSEST
         return within and self.must in ("", "run")
 
@@ -132,7 +132,7 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""What flows must do that must not run, as part of the message; empty where either is right."""
+"""Flows that are not held to run: part of the message with which they must stop; empty where either is right."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
