@@ -22,7 +22,7 @@ NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
 TRADES = {
     "pipe-vertical": ("pipe", {}, "cuda", 400),
-    "pipe-bend": ("pipe", {"unit": "D"}, "cuda", 170),
+    "pipe-bend": ("pipe", {"unit": "D"}, "cuda", 200),
     "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
     "pipe-narrow": ("pipe", NARROW, "cpu", 840),
     "channel": ("channel", {}, "cpu", 180),
