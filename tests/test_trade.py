@@ -1,4 +1,4 @@
-"""Speed against accuracy: statistics, choices, and trades of small scenes."""
+"""Speed against accuracy: trades of small scenes, what they choose and what they leave behind."""
 
 import csv
 import importlib
@@ -16,8 +16,7 @@ from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise, compact, shipped
-from warpcrete.studies.fronts import Error, cheapest_within, difference, front, next_within, student, worst
+from warpcrete.studies.advice import advise, compact
 from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point, Trade
 
@@ -26,47 +25,7 @@ COARSE = dict(spacing=0.02)
 PIPE = dict(
     diameter=0.08, length=0.1, travel=0.02, ramp=0.01, settle=0.05, size_min=8e-3, size_max=16e-3, sample_interval=0.002
 )
-QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 120: 1.980}
-FURTHER = {"channel": {"aggregates": True}, "pipe": {"shapes": "reference", "wall": "mesh"}}
-
-
-def test_quantiles_of_student():
-    # Of published tables, to the digits that they have.
-    for freedom, quantile in QUANTILES.items():
-        assert student(freedom) == pytest.approx(quantile, abs=1.5e-3)
-
-
-def test_intervals_hold_the_true_difference_as_often_as_they_say():
-    random = np.random.default_rng(1)
-    held = []
-    for _ in range(4000):
-        a, b = random.normal(1.1, 0.02, 3), random.normal(1.0, 0.05, 4)
-        error = difference("x", a, b, size=1.0)
-        held.append(abs(error.shift - 0.1) <= error.interval)
-    assert 0.94 <= np.mean(held) <= 0.98  # Welch's interval is a little wide for so few
-
-
-def test_differences_without_randomness_are_exact_and_lone_runs_say_nothing_of_scatter():
-    assert difference("x", [1.1], [1.0]) == Error("x", pytest.approx(0.1), 0.0)
-    assert math.isnan(difference("x", [1.1], [1.0, 1.2]).interval)
-    assert not difference("x", [1.1], [1.0]).within_scatter
-    error = difference("x", [1.0, 1.1, 1.2], [1.0, 1.1, 1.2])
-    assert error.shift == 0 and error.interval == pytest.approx(4.303 * 0.1 / math.sqrt(3) / 1.1, rel=1e-3)
-    assert difference("x", [1.01, 1.11, 1.21], [1.0, 1.1, 1.2]).within_scatter
-    found = worst([Error("a", -0.2, 0.0), Error("b", 0.1, 0.15), Error("c", math.nan, 0.0)])
-    assert found is not None and found.quantity == "b"  # by what it is at most
-    assert worst([]) is None
-
-
-def test_the_next_error_stays_within_what_is_promised():
-    random = np.random.default_rng(1)
-    held = []
-    for _ in range(4000):
-        errors = random.normal(0.01, 0.02, 8)
-        held.append(abs(errors[-1]) <= next_within(errors[:-1]))
-    # |mean| + t s sqrt(1 + 1/n) bounds the next one on either side, and so a little more than 95 % of them.
-    assert 0.945 <= np.mean(held) <= 0.99
-    assert next_within([-0.03]) == 0.03 and next_within([0.01, 0.01]) == pytest.approx(0.01)
+FURTHER = {"channel": {"aggregates": True}, "pipe": {"shapes": "reference", "wall": "mesh", "hydration": 0.1}}
 
 
 def test_variants_of_a_flow_are_other_scenes_that_can_be_made():
@@ -91,21 +50,6 @@ def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
     assert half.parameters["length"] == 0.5
     assert half.values("plateau_pressure", [0]) == [1e3 + 2 * 10e3]  # the plug's 1 kPa stays what it is
     assert not any(k.name == "length" for k in pipe.trading.knobs(pipe.scene.parameters(unit="D")))
-
-
-def test_the_front_is_what_nothing_beats():
-    points = [(3.0, 0.01), (1.0, 0.2), (2.0, 0.2), (2.5, 0.05), (2.6, 0.06), (4.0, 0.01)]
-    assert front(points) == [1, 3, 0]
-    assert front([]) == []
-
-
-def test_the_cheapest_levels_whose_errors_add_up_to_less():
-    knobs = {"a": [(0.1, 0.06), (0.5, 0.02), (1.0, 0.0)], "b": [(0.3, 0.04), (1.0, 0.0)]}
-    assert cheapest_within(knobs, 0.1) == {"a": 0, "b": 0}
-    assert cheapest_within(knobs, 0.06) == {"a": 0, "b": 1}  # 0.1 against 0.15
-    assert cheapest_within(knobs, 0.05) == {"a": 2, "b": 0}
-    assert cheapest_within(knobs, 0.0) == {"a": 2, "b": 1}
-    assert cheapest_within({"a": [(1.0, math.inf)]}, 0.5) is None
 
 
 @pytest.mark.parametrize("name", sorted(modules()))
@@ -330,32 +274,6 @@ def test_settings_for_an_accuracy(flow_trade):
         advise(flow_trade.folder, "pipe", pipe, {}, 0.1)
 
 
-def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
-    levels = {"coarse-graining": "x 2", "time step": "x 1.5"}
-    promise = {"setting": "x", "levels": levels, "promised": 0.04, "ratio": 0.3}
-    record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "promises": [promise]}
-    (tmp_path / "trade.json").write_text(json.dumps(record))
-    advice = advise(tmp_path, "pipe", pipe, {"size_max": 0.012, "size_min": 0.006, "diameter": 0.1}, 0.05)
-    assert advice.changes == pytest.approx({"size_min": 0.012, "size_max": 0.024, "safety": 1.2})
-    assert not advice.left_out
-    advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
-    assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
-    assert advice.left_out == ("time step 0.75, for what is given",)
-    # A pipe too narrow for that: the level is none of its own, and no other one takes its place.
-    advice = advise(tmp_path, "pipe", pipe, {"diameter": 0.08}, 0.05)
-    assert advice.changes == pytest.approx({"safety": 1.2})
-    assert advice.left_out == ("coarse-graining x 2, which this scene has not",)
-
-
-def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(flow_trade):
-    (promise,) = [p for p in flow_trade.promises if p.target == 0.2]
-    default = channel.scene.parameters().time_step
-    advice = advise(flow_trade.folder, "channel", channel, COARSE, 0.2)
-    if "time step" in promise.point.levels:  # chosen by somebody, and so it stays
-        assert advise(flow_trade.folder, "channel", channel, COARSE | {"time_step": 3e-4}, 0.2).left_out
-    assert advice.changes.get("time_step", default) == promise.point.parameters.get("time_step", default)
-
-
 @pytest.mark.slow
 def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
@@ -404,7 +322,7 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     wanted = ("--accuracy", "20%", "--trade", folder)
     done = command("run", "channel", "--spacing", "0.02", *wanted, "--out", tmp_path / "r", *bare)
-    assert done.returncode in (0, 3) and "note: " in done.stderr and " within " in done.stderr
+    assert done.returncode == 0 and "note: " in done.stderr and " within " in done.stderr  # its checks accept 20 %
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     advice = advise(folder, "channel", channel, COARSE, 0.2)
     assert {name: made[name] for name in advice.changes} == advice.changes
@@ -415,62 +333,6 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
-
-
-@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
-def test_shipped_trades_are_of_scenes_of_this_version(path):
-    record = json.loads(path.read_text())
-    module = modules()[record["scene"]]
-    scene = module.scene(**record["parameters"])  # refuses what it does not know
-    assert set(record["quantities"]) <= {each.name for each in method_of(scene).quantities}
-    reached = [p for p in record["promises"] if p["setting"]]
-    assert reached and all(p["promised"] <= p["target"] for p in reached) and record["machine"]
-    for promise in reached:
-        advice = advise(path, record["scene"], module, record["parameters"], promise["target"])
-        assert not advice.left_out and not advice.outside and advice.promised <= promise["target"]
-        module.scene(**module.scene.meaningful({**record["parameters"], **advice.changes}))
-
-
-def test_the_nearest_shipped_trade_is_taken():
-    pipes, channels = modules()["pipe"], modules()["channel"]
-    assert shipped("pipe", pipes, {}, True).stem == "pipe-vertical"
-    assert shipped("pipe", pipes, {"unit": "D", "velocity": 0.4}, True).stem == "pipe-bend"
-    near = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.25}
-    assert shipped("pipe", pipes, near, False).stem == "pipe-narrow"
-    assert shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
-    assert shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
-    assert shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
-    # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
-    for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
-        assert shipped("pipe", pipes, {"unit": unit}, True).stem == trade
-    assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
-    assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
-    assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
-    assert shipped("nothing", pipes, {}, False) is None
-
-
-def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
-    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
-    done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",
-                   "20%", "--out", tmp_path / "r", *bare)  # fmt: skip
-    assert done.returncode in (0, 3) and "phases one phase" in done.stderr, done.stderr
-    # What is chosen by hand stays, and is said to be missing from the setting.
-    done = command("run", "channel", "--precision", "float32", "--accuracy", "5%", "--out", tmp_path / "s", *bare)
-    setting = json.loads((SHIPPED / "channel.json").read_text())["promises"][2]["levels"]
-    assert ("without precision float64" in done.stderr) is (setting.get("precision") == "float64")
-
-
-def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
-    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
-    done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
-    assert done.returncode == 0, done.stdout + done.stderr
-    for words in ("by the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
-        assert words in done.stderr
-    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
-    assert made["tolerated_error"] == pytest.approx(0.1)
-    result = json.loads((tmp_path / "r" / "result.json").read_text())
-    advice = advise(SHIPPED / "channel.json", "channel", modules()["channel"], {"flow": 0.002}, 0.1)
-    assert max(abs(result["pressure_error"]), abs(result["slip_velocity_error"])) <= advice.promised <= 0.1
 
 
 def test_what_is_shipped_of_a_trade(flow_trade):

@@ -1,0 +1,100 @@
+"""Settings for a wanted accuracy: of a trade's folder and of the trades that come with the package."""
+
+import json
+
+import pytest
+from pumping import command
+
+from warpcrete.methods import method_of
+from warpcrete.scenes import modules
+from warpcrete.studies.advice import SHIPPED, advise, shipped
+
+
+def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
+    pipe = modules()["pipe"]
+    levels = {"coarse-graining": "x 2", "time step": "x 1.5"}
+    promise = {"setting": "x", "levels": levels, "promised": 0.04, "ratio": 0.3}
+    record = {"scene": "pipe", "parameters": {}, "quantities": ["plateau_pressure"], "promises": [promise]}
+    (tmp_path / "trade.json").write_text(json.dumps(record))
+    advice = advise(tmp_path, "pipe", pipe, {"size_max": 0.012, "size_min": 0.006, "diameter": 0.1}, 0.05)
+    assert advice.changes == pytest.approx({"size_min": 0.012, "size_max": 0.024, "safety": 1.2})
+    assert not advice.left_out
+    advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
+    assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
+    assert advice.left_out == ("time step 0.75, for what is given",)
+    # A pipe too narrow for that: the level is none of its own, and no other one takes its place.
+    advice = advise(tmp_path, "pipe", pipe, {"diameter": 0.08}, 0.05)
+    assert advice.changes == pytest.approx({"safety": 1.2})
+    assert advice.left_out == ("coarse-graining x 2, which this scene has not",)
+
+
+def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_path):
+    promise = {"setting": "x", "levels": {"time step": "x 4"}, "promised": 0.04, "ratio": 0.3}
+    record = {"scene": "channel", "parameters": {"time_step": 5e-4}, "quantities": ["pressure"], "promises": [promise]}
+    (tmp_path / "trade.json").write_text(json.dumps(record))
+    channel = modules()["channel"]
+    for given in ({}, {"time_step": 5e-4}):
+        advice = advise(tmp_path, "channel", channel, given, 0.05)
+        assert advice.changes["time_step"] == pytest.approx(2e-3) and not advice.left_out
+    # Another one was chosen by somebody, and so it stays; the checks stay what they are, too.
+    advice = advise(tmp_path, "channel", channel, {"time_step": 3e-4}, 0.05)
+    assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, for what is given",)
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
+def test_shipped_trades_are_of_scenes_of_this_version(path):
+    record = json.loads(path.read_text())
+    module = modules()[record["scene"]]
+    scene = module.scene(**record["parameters"])  # refuses what it does not know
+    assert set(record["quantities"]) <= {each.name for each in method_of(scene).quantities}
+    reached = [p for p in record["promises"] if p["setting"]]
+    assert reached and all(p["promised"] <= p["target"] for p in reached) and record["machine"]
+    for promise in reached:
+        advice = advise(path, record["scene"], module, record["parameters"], promise["target"])
+        assert not advice.left_out and not advice.outside and advice.promised <= promise["target"]
+        module.scene(**module.scene.meaningful({**record["parameters"], **advice.changes}))
+
+
+def test_the_nearest_shipped_trade_is_taken():
+    pipes, channels = modules()["pipe"], modules()["channel"]
+    assert shipped("pipe", pipes, {}, True).stem == "pipe-vertical"
+    assert shipped("pipe", pipes, {"unit": "D", "velocity": 0.4}, True).stem == "pipe-bend"
+    near = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.25}
+    assert shipped("pipe", pipes, near, False).stem == "pipe-narrow"
+    assert shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
+    assert shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
+    assert shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
+    # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
+    for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
+        assert shipped("pipe", pipes, {"unit": unit}, True).stem == trade
+    assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
+    assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
+    assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
+    assert shipped("nothing", pipes, {}, False) is None
+
+
+def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
+    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
+    done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",
+                   "20%", "--out", tmp_path / "r", *bare)  # fmt: skip
+    # It runs; whether 20 ms are enough for its checks is not asked here.
+    assert done.returncode in (0, 3) and "phases one phase" in done.stderr, done.stderr
+    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    assert made["aggregates"] is False and made["aggregate_fraction"] is None
+    # What is chosen by hand stays, and is said to be missing from the setting.
+    done = command("run", "channel", "--precision", "float32", "--accuracy", "5%", "--out", tmp_path / "s", *bare)
+    setting = json.loads((SHIPPED / "channel.json").read_text())["promises"][2]["levels"]
+    assert ("without precision float64" in done.stderr) is (setting.get("precision") == "float64")
+
+
+def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
+    bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
+    done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for words in ("by the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
+        assert words in done.stderr
+    made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
+    assert made["tolerated_error"] == pytest.approx(0.1)
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    advice = advise(SHIPPED / "channel.json", "channel", modules()["channel"], {"flow": 0.002}, 0.1)
+    assert max(abs(result["pressure_error"]), abs(result["slip_velocity_error"])) <= advice.promised <= 0.1
