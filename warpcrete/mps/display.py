@@ -14,6 +14,8 @@ from .theory import velocity
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 PIPE = (150, 165, 180, 40)
+GOLDEN = np.pi * (3 - 5**0.5)
+"""Angle from one particle to the next about an axis [rad]."""
 OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
 
@@ -24,6 +26,11 @@ class FlowDisplay(Display):
     noun: ClassVar = "concrete"
 
     @property
+    def driven(self) -> str:
+        """What the pressure is."""
+        return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
+
+    @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
         """From what there is to see to the eye: a channel is seen from the front, a tube a little from aside."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
@@ -31,14 +38,17 @@ class FlowDisplay(Display):
 
     def radii(self) -> np.ndarray:
         """Half a spacing each [m], shape (n,)."""
-        return np.full(self.simulation.state.count, 0.5 * self.simulation.state.layout.spacing, np.float32)
+        return np.full(self.simulation.state.count, 0.5 * self.simulation.state.mark_spacing, np.float32)
 
     def centres(self) -> np.ndarray:
         """Particles in the room [m], shape (n, 3): z up, a channel in the plane of x and z."""
         x = self.simulation.state.particles.position.numpy().astype(float)
         x[:, -1] += self.simulation.scene.velocity * self.simulation.stepper.time
         if self.simulation.scene.dimensions == 2:
-            x = np.insert(x, 1, 0.0, axis=1)
+            return np.insert(x, 1, 0.0, axis=1)
+        if x.shape[1] == 2:  # of a grid about the axis: each at an angle of its own
+            angle = GOLDEN * np.arange(len(x))
+            return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
 
     def scale(self) -> tuple[str, float, float] | None:
@@ -71,8 +81,8 @@ class FlowDisplay(Display):
         """Pressure on the piston and slip velocity, beside theory."""
         theory = self.simulation.flow.theory
         return (
-            Plot("pressure", "Pressure on the piston", (
-                Curve("piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3, OURS),
+            Plot("pressure", self.driven.capitalize(), (
+                Curve("piston", f"{self.driven} [kPa]", lambda row: row["pressure"] / 1e3, OURS),
                 Curve("theory", "theory", lambda row: theory.pressure / 1e3, THEORY),
             )),
             Plot("slip", "Slip velocity", (

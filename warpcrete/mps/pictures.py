@@ -41,7 +41,8 @@ def _pressure(axes: Any, run: Run) -> None:
         axes.axhline(
             run.scene.published["pressure"] / 1e3, color="k", linestyle="--", linewidth=0.8, label="printed (Xu et al.)"
         )
-    axes.set(xlabel="time [s]", ylabel="pressure on the piston [kPa]")
+    piston = run.scene.ends == "piston"
+    axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
     # The start is far below and of no interest.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
@@ -53,10 +54,11 @@ def _pressure(axes: Any, run: Run) -> None:
 
 def _profiles(axes: Any, run: Run) -> None:
     scene = run.scene
-    for part in run.result["profiles"]:
+    piston = scene.ends == "piston"
+    for part in run.result["profiles"][:None if piston else 1]:  # all are the same in a periodic pipe
         axes.plot(
             100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
-            label=f"{100 * part['height']['value']:.0f} cm above the piston",
+            label=f"{100 * part['height']['value']:.0f} cm above the piston" if piston else "this run",
         )  # fmt: skip
     radius = np.linspace(0, scene.radius, 200)
     theory = velocity(scene.concrete, scene.line, scene.theory(), radius)
@@ -103,5 +105,5 @@ def draw(simulation: Any, run: Run, colouring: str) -> Any:
     if "profiles" not in run.result:
         return None
     display = simulation.display(colouring)
-    particles = display.centres(), display.colours(), simulation.state.layout.spacing
+    particles = display.centres(), display.colours(), simulation.state.mark_spacing
     return plot_flow(run, particles, display.scale())

@@ -117,7 +117,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
         "slip_velocity": float(np.sum(weight[wet] * slip[wet]) / np.sum(weight[wet])) if wet.any() else math.nan,
         "profile_deviation": float(np.sqrt(np.mean((snap.velocity[middle] - theory) ** 2))),
         "fastest": float(snap.speed.max()),
-        "volume_error": _window(layout.fluid[:, -1] / layout.height) / _window(part) - 1,
+        "volume_error": window(layout.fluid[:, -1] / layout.height) / window(part) - 1,
         "force_balance_error": float(residual / force) if force else math.nan,
         "front": float(np.mean(surface)) + 0.5 * layout.spacing if len(surface) else math.nan,
         "momentum": momentum,
@@ -127,10 +127,10 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     return row | aggregate_fractions(flow, snap)
 
 
-def _window(part: np.ndarray) -> float:
+def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
     """Particles in a window that falls smoothly with height: as many as at the start, if none lost or won volume."""
     lower, upper = WINDOW
-    return float(np.sum(0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
+    return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
 
 
 def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:

@@ -17,6 +17,7 @@ from ..core.parameters import Above, Alias, Declared, OneOf, Within
 from .theory import Concrete, Line, Steady, steady
 
 FEWEST_ACROSS = 4  # particles over the pipe's width
+ENDS = ("piston", "periodic")
 SHORTEST = 8  # spacings in the column's length: less has no inside that neither piston nor surface disturbs
 
 
@@ -69,6 +70,12 @@ class FlowSettings(Declared):
     """How a flow is computed."""
 
     duration: Annotated[float | None, "simulated time [s]; default: until steady"] = None
+    ends: Annotated[
+        str,
+        "piston: a column on a piston, with a free surface, by particles alone; periodic: a stretch of an endless pipe "
+        "without either, on a grid (a tube about its axis), for as much shear as there may be",
+        OneOf(ENDS),
+    ] = "piston"
     time_step: Annotated[float, "[s]", Above()] = 5e-4
     gravity: Annotated[float, "against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
@@ -130,6 +137,10 @@ class FluidScene(FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.paper_scheme and self.aggregates is not None:
             refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+        if self.ends == "periodic":
+            for name, given in (("paper_scheme", self.paper_scheme), ("aggregates", self.aggregates is not None)):
+                if given:
+                    refuse("ends", self.ends, f"is solved on a grid, which has no {name}", "take ends = piston")
         across = 2 * self.radius / self.spacing
         if across < FEWEST_ACROSS - 0.5:
             refuse(

@@ -94,6 +94,11 @@ class FluidState:
         )
 
     @property
+    def mark_spacing(self) -> float:
+        """Distance of particles at the start [m]."""
+        return self.layout.spacing
+
+    @property
     def mass(self) -> float:
         """Of all fluid particles [kg], or [kg/m] in two dimensions."""
         if self.grains is None:

@@ -1,0 +1,1 @@
+"""Warp kernels of flows whose equations are solved on a grid."""

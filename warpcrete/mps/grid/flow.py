@@ -1,0 +1,268 @@
+"""A flow whose equations are solved on a grid that particles are carried through.
+
+A step: particles bring their velocities to the faces of the cells (affine particle-in-cell); viscosity, walls, pressure
+and weight change these, implicitly; the pressure's increment takes their divergence away; particles take their
+velocity from the grid and go with it. Nothing hangs on how particles lie, so shear may last for ever.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device import parallel
+from ...core.errors import ConvergenceError, InstabilityError
+from ...core.launching import Launcher, Loop, Stage, Step, graph_sizes, members, parameter_names
+from ...kernels.common.control import FAILED, HALTED, STEPS
+from ...kernels.common.reductions import BLOCK
+from ...kernels.mps.conjugate_gradient import (
+    AFTER,
+    BEFORE,
+    ITERATIONS,
+    OUTCOME,
+    parallel_iteration,
+    parallel_start,
+    serial_solver,
+)
+from ...kernels.mps.grid.cells import PRESSURE_NEIGHBOURS, VELOCITY_NEIGHBOURS
+from ...kernels.mps.grid.forces import force_kernels
+from ...kernels.mps.grid.pressure import drive_kernels, pressure_kernels
+from ...kernels.mps.grid.transfer import transfer_kernels
+from ...kernels.mps.motion import finish
+from ...kernels.mps.structs import LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
+from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
+from .state import GridState, grid_numbers
+
+HISTORY = 256  # iterations whose residual is kept
+LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
+LAUNCH = 4  # largest graphs from one look at the flags to the next
+EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
+WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure"}
+
+
+@dataclass(frozen=True)
+class System:
+    """Equations of one kind: a row a face, or a row a cell."""
+
+    rows: int
+    matrix: Any
+    """A struct `Matrix`."""
+    arrays: Any
+    """A struct `Solve` of numbers."""
+    numbers: Any
+    """A struct `Flow`, of which solves read the count."""
+
+    @property
+    def blocks(self) -> int:
+        """Of a GPU's threads."""
+        return -(-self.rows // BLOCK)
+
+
+class GridFlow:
+    """Carries a state forward."""
+
+    threads = 1
+    """That work on it on a CPU: grids of a plane are small."""
+    rebuilds = 0
+    """Of lists of neighbours, which there are none of."""
+
+    def __init__(self, state: GridState) -> None:
+        scene = state.scene
+        self.state, self.scene, self.device = state, scene, state.device
+        self.parallel = parallel(self.device)
+        self.scalar, self.count = state.scalar, state.count
+        self.flags, self.particles, self.mesh, self.walls = state.flags, state.particles, state.mesh, state.walls
+        self.g = grid_numbers(state)
+        self._launcher = Launcher(1, self.device)
+        self.viscous = self._system(2 * state.slots, VELOCITY_NEIGHBOURS)
+        self.projection = self._system(state.slots, PRESSURE_NEIGHBOURS)
+        self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
+        self._carried = [wp.zeros(2 * state.slots, dtype=self.scalar, device=self.device) for _ in range(2)]
+        self._known = [wp.zeros(2 * state.slots, dtype=wp.int32, device=self.device) for _ in range(2)]
+        self.theory = scene.theory()
+        self.time = 0.0
+        self.steps = 0
+        self._step: Step | None = None
+
+    def _system(self, rows: int, near: int) -> System:
+        structs = array_structs(self.scalar, 2)
+        matrix = structs.Matrix()
+        matrix.near_capacity = near
+        for name in structs.Matrix.vars:
+            if name != "near_capacity":
+                # What would bind rows of vectors to walls has none here.
+                size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
+                setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
+        solve = structs.NumberSolve()
+        sizes = {"partial": 3 * -(-rows // BLOCK), "numbers": 3, "outcome": OUTCOME, "history": HISTORY, "going": 1}
+        for name in structs.NumberSolve.vars:
+            setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))
+        numbers = flow_struct(self.scalar)()
+        numbers.count = rows
+        return System(rows, matrix, solve, numbers)
+
+    def _zeros(self, struct: Any, name: str, size: int) -> wp.array:
+        return wp.zeros(size, dtype=struct.vars[name].type.dtype, device=self.device)
+
+    # Stages.
+
+    @property
+    def step(self) -> Step:
+        """Stages of one step, in one list."""
+        if self._step is None:
+            self._step = [self._stages()]
+        return self._step
+
+    def stage(self, kernel: Any, dim: int, *, block: int | None = None, **named: Any) -> Stage:
+        """A launch of a kernel; parameters that are not `named` are the attributes of the same names."""
+        for name in parameter_names(kernel):
+            if name not in named:
+                named[name] = getattr(self, name)
+        return Stage(kernel, dim, named, self.device, block=block)
+
+    def _stages(self) -> list[Any]:
+        slots, serial = self.state.slots, not self.parallel
+        kind = self.state.layout.axial, True
+        transfer = transfer_kernels(self.scalar, *kind)
+        forces = force_kernels(self.scalar, serial, *kind)
+        pressure = pressure_kernels(self.scalar, serial, *kind)
+        velocity, increment = self.mesh.velocity, self.mesh.increment
+        return [
+            self.stage(transfer.clear, slots),
+            self.stage(transfer.sort, self.count),
+            self.stage(transfer.wet, slots),
+            self.stage(transfer.gather, slots),
+            self.stage(forces.thicken, slots),
+            self.stage(forces.rub, slots),
+            self.stage(forces.push, slots, matrix=self.viscous.matrix, viscous=self.viscous.arrays),
+            *self._solve(self.viscous, VISCOSITY, velocity, 0.0, VELOCITY_ERROR * self._force),
+            self.stage(pressure.weigh, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
+            *self._solve(
+                self.projection, PRESSURE, increment, self.scene.tolerance,
+                LEAST_PRESSURE * self.scene.tolerance * self._force / self.scene.radius,
+            ),
+            self.stage(pressure.project, slots),
+            *self._drive(),
+            *self._extend(transfer.extend),
+            self.stage(transfer.advect, self.count, velocity=self._carried[0], good=self._known[0]),
+            Stage(finish, 1, {"late": self.late, "flags": self.flags}, self.device),
+        ]  # fmt: skip
+
+    @property
+    def _force(self) -> float:
+        """Norm of the forces on all faces that change velocities by the piston's speed within a step."""
+        layout, scene = self.state.layout, self.scene
+        volume = layout.spacing * layout.step * (scene.radius if layout.axial else 1.0)
+        return scene.concrete.density / scene.time_step * volume * scene.velocity * math.sqrt(self.state.slots)
+
+    def _extend(self, kernel: Any) -> list[Stage]:
+        """Velocities beyond the concrete, a cell further in each; they end in the first arrays."""
+        found = []
+        for turn in range(EXTENDED):
+            to = turn % 2 if EXTENDED % 2 else 1 - turn % 2
+            found.append(
+                self.stage(
+                    kernel, self.state.slots, again=int(turn > 0), before=self._carried[1 - to],
+                    known_before=self._known[1 - to], after=self._carried[to], known_after=self._known[to],
+                )
+            )  # fmt: skip
+        return found
+
+    def _drive(self) -> list[Stage]:
+        """The force that holds the mean velocity."""
+        kernels, slots = drive_kernels(self.scalar), self.state.slots
+        shove = self.stage(kernels.shove, slots)
+        if not self.parallel:
+            return [self.stage(kernels.lacking, 1), shove]
+        blocks, partial = -(-slots // BLOCK), self.viscous.arrays.partial
+        return [
+            self.stage(kernels.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
+            self.stage(kernels.lacking_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
+            shove,
+        ]
+
+    def _solve(self, system: System, what: int, x: wp.array, tolerance: float, absolute: float) -> list[Any]:
+        """Conjugate gradients down to `tolerance` of the residual at the start, or to `absolute`; adds to `x`."""
+        kind = self.scalar, 2, False
+        named = {
+            "flow": system.numbers, "what": what, "tolerance": tolerance, "absolute_tolerance": absolute,
+            "maximum": self.scene.maximum_iterations, "matrix": system.matrix, "system": system.arrays, "x": x,
+            "count": system.rows, "blocks": system.blocks, "gate": self._launcher.gate, "flags": self.flags,
+            "parts": 1, "lower": 0, "upper": 1, "workers": 1,
+        }  # fmt: skip
+
+        def stage(kernel: Any, tasks: int, **more: Any) -> Stage:
+            given = named | members(kernel, matrix=system.matrix, system=system.arrays) | more
+            own = {name: given[name] for name in parameter_names(kernel)}
+            return Stage(kernel, tasks, own, self.device, block=BLOCK if self.parallel else None)
+
+        if not self.parallel:
+            return [stage(serial_solver(*kind), 1)]
+        begin, ready = parallel_start(*kind)
+        multiply, update, direct = parallel_iteration(*kind)
+        whole = BLOCK * system.blocks
+        body = []
+        for now in (0, 1) * (LOOPED // 2):
+            body += [stage(multiply, whole), stage(update, whole, now=now), stage(direct, whole, now=now)]
+        return [stage(begin, whole), stage(ready, BLOCK), Loop(system.arrays.going, body)]
+
+    # Stepping.
+
+    def take(self, steps: int) -> None:
+        """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
+        goal = self.steps + steps
+        while self.steps < goal:
+            largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
+            sizes = graph_sizes(min(goal - self.steps, LAUNCH * largest), largest)
+            self._launcher.replay(self.step, lambda: self.step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+            flags = self.flags.numpy()
+            self.steps = int(flags[int(STEPS)])
+            self.time = self.steps * self.scene.time_step
+            if flags[int(FAILED)]:
+                self._fail(int(flags[int(FAILED)]))
+
+    def advance(self, until: float) -> None:
+        """Take whole steps up to the one that ends nearest to `until` [s]."""
+        self.take(math.floor(until / self.scene.time_step + 0.5) - self.steps)
+
+    def _fail(self, what: int) -> None:
+        if what == LOST:
+            raise InstabilityError(
+                f"t = {self.time:.6g} s: a particle's velocity is not a number; usual cure: a smaller time step"
+            )
+        outcome = self._system_of(what).arrays.outcome.numpy()
+        count = int(outcome[int(ITERATIONS)])
+        history = [float(outcome[int(BEFORE)]), *map(float, self._system_of(what).arrays.history.numpy()[:count])]
+        raise ConvergenceError(
+            self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
+        )
+
+    def _system_of(self, what: int) -> System:
+        return self.viscous if what == VISCOSITY else self.projection
+
+    def outcomes(self) -> dict[str, dict[str, float]]:
+        """Iterations and residuals of each solve in the last step."""
+        found = {}
+        for what, name in WHAT.items():
+            outcome = self._system_of(what).arrays.outcome.numpy()
+            numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
+            found[name] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
+        return found
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Arrays that the next step depends on."""
+        return self.state.state_dict()
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next step depends on."""
+        return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps}}
+
+    def load_state_dict(self, found: dict[str, Any]) -> None:
+        """Go on from a `state_dict`."""
+        self.state.load_state_dict(found["arrays"])
+        self.steps = int(found["numbers"]["steps"])
+        self.time = self.steps * self.scene.time_step

@@ -1,0 +1,84 @@
+"""What is measured in a flow on a grid, under the names that flows of particles have it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...kernels.mps.grid.cells import ACTED, FORCE, LIQUID
+from ..probes import Snapshot, section, window
+from ..scene import FluidScene
+from .flow import GridFlow
+from .state import GridLayout
+
+
+def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
+    """A row of the series; `before` is the row before, for what changes in between. Of a channel, momentum is that of a
+    metre's depth.
+
+    A periodic pipe's pressure is the force that drives it, weight included, over its length.
+    """
+    scene, state, layout = flow.scene, flow.state, flow.state.layout
+    drive = state.mesh.drive.numpy()
+    gradient = float(drive[int(ACTED if flow.steps else FORCE)])
+    area, around = section(flow), 2 * math.pi if layout.axial else 1.0
+    wet = (2 * math.pi * scene.radius if layout.axial else 2.0) * layout.height
+    along = state.faces("velocity")[1]
+    volume = state.faces("volume")[1] * around
+    kind = state.faces("kind")[1] == int(LIQUID)
+    momentum = state.mass * scene.velocity
+    if flow.steps:  # before, nothing lies on the grid
+        momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
+    traction, slip = (
+        getattr(state.mesh, name).numpy().astype(float).reshape(4, *state.shape)[2:, 1:-1] for name in ("traction", "slip")
+    )
+    # Walls on the left of a channel's first column of cells, on the right of its last one, or a tube's last one.
+    sides = [(1, -2)] if layout.axial else [(0, 1), (1, -2)]
+    stress = float(np.mean([traction[side][:, column] for side, column in sides]))
+    at_wall = float(np.mean([slip[side][:, column] for side, column in sides]))
+    force = gradient * layout.height * area
+    change = 0.0
+    if before is not None and flow.time > before["time"]:
+        change = (momentum - before["momentum"]) / (flow.time - before["time"])
+    residual = force - state.mass * scene.gravity - stress * wet - change
+    radius, mean = profile(flow)
+    weight = radius if layout.axial else np.ones_like(radius)
+    deviation = math.sqrt(float(np.sum(weight * (mean - state.theory_profile) ** 2) / np.sum(weight)))
+    outcomes = flow.outcomes()
+    within = [_within(layout, x, scene) for x in (layout.fluid, state.particles.position.numpy().astype(float))]
+    return {
+        "time": flow.time,
+        "travel": scene.velocity * flow.time,
+        "pressure": gradient * layout.height,
+        "pressure_gradient": gradient,
+        "wall_stress": stress,
+        "slip_velocity": at_wall if flow.steps else math.nan,
+        "profile_deviation": deviation,
+        "fastest": float(Snapshot.of(flow).speed.max()),
+        "volume_error": within[0] / within[1] - 1,
+        "force_balance_error": residual / force if force else math.nan,
+        "front": layout.height,
+        "momentum": momentum,
+        "viscosity_iterations": outcomes["viscosity"]["iterations"],
+        "pressure_iterations": outcomes["pressure"]["iterations"],
+    }
+
+
+def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
+    """Concrete in a window that falls smoothly across the section: as much as at the start, unless some goes astray."""
+    part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
+    return window(part, layout.mass)
+
+
+def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from the axis [m] and mean velocity over a cell [m/s], at a `height` [m] or amid the stretch; a channel's
+    from wall to wall, by distance.
+    """
+    layout = flow.state.layout
+    height = 0.5 * layout.height if height is None else height
+    row = 1 + min(round(height / layout.step), layout.cells[1] - 1)
+    across = np.abs(layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing)
+    order = np.argsort(across, kind="stable")
+    return across[order], flow.state.faces("velocity")[1, row, 1:-1][order]
+
