@@ -80,7 +80,8 @@ def flows(trade: Path, name: str, device: str) -> None:
             ran[key] = max(abs(result["pressure_error"]), abs(result["slip_velocity_error"]))
         count += 1
         kept += ran[key] <= advice.promised
-    print(f"{name}: {kept} of {count} errors of {len(ran)} runs within what was promised, at most {max(ran.values()):.4f}")
+    most = max(ran.values())
+    print(f"{name}: {kept} of {count} errors of {len(ran)} runs within what was promised, at most {most:.4f}")
 
 
 def main() -> None:

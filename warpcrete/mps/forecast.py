@@ -49,11 +49,10 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
     found = Forecast(
         method="moving particles",
         device="",
-        counts={"particles": flow.count, "wall particles": len(flow.points) - flow.count},
+        counts=flow.counts,
         features=_features(simulation),
         memory={name: float(size) for name, size in footprint(
-            particles=flow.particles, neighbours=flow.lists, matrix=flow.matrix,
-            solves=(flow.viscous, flow.projection, flow.shifting), rest=simulation).items() if size},
+            **flow.holdings, rest=simulation).items() if size},
         time_step=scene.time_step,
         limits={"half a spacing of the piston's way": 0.5 * scene.spacing / scene.velocity},
         governing="choice: solves are implicit, so that viscosity and pressure set no limit",
@@ -109,7 +108,13 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "phases": "one" if scene.aggregates is None else "two: rigid grains in mortar",
         "yield stress": f"{concrete.yield_stress:g} Pa, regularised" if concrete.yield_stress else "left out",
         "slip layer": f"{concrete.slip_viscosity:g} Pa s/m and {concrete.slip_yield:g} Pa",
-        "scheme": "as the paper prints it" if scene.paper_scheme else "corrected",
+        "scheme": _scheme(scene),
         "precision": simulation.precision,
         "threads": "a thread a particle" if flow.parallel else f"{flow.threads}",
     }
+
+
+def _scheme(scene: FluidScene) -> str:
+    if scene.ends == "periodic":
+        return "solved on a grid" + (" about the axis" if scene.dimensions == 3 else "")
+    return "as the paper prints it" if scene.paper_scheme else "corrected"

@@ -123,6 +123,17 @@ class MovingParticles:
         return solve
 
     @property
+    def counts(self) -> dict[str, int]:
+        """Of what it consists of."""
+        return {"particles": self.count, "wall particles": len(self.points) - self.count}
+
+    @property
+    def holdings(self) -> dict[str, Any]:
+        """What holds its memory, by part."""
+        solves = self.viscous, self.projection, self.shifting
+        return {"particles": self.particles, "neighbours": self.lists, "matrix": self.matrix, "solves": solves}
+
+    @property
     def wet_area(self) -> float:
         """Area of the pipe's wall that the column covers [m2], or length [m] of both walls in two dimensions."""
         around = 2.0 if self.scene.dimensions == 2 else 2 * math.pi * self.scene.radius

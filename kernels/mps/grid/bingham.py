@@ -59,8 +59,7 @@ def bingham_functions(scalar) -> SimpleNamespace:
         over = wp.max(size - g.yield_stress, scalar(0.0))
         below = wp.min(size, g.yield_stress)
         sum = over * over * over / (scalar(6.0) * g.viscosity) + (
-            below * below * below / scalar(6.0)
-            + over * g.yield_stress * (g.yield_stress + over) / scalar(2.0)
+            below * below * below / scalar(6.0) + over * g.yield_stress * (g.yield_stress + over) / scalar(2.0)
         ) / unyielded(g)
         return wp.sign(stress) * sum
 
@@ -71,7 +70,8 @@ def bingham_functions(scalar) -> SimpleNamespace:
         Where the plug ends within them that rate, a mean itself, is more than the rate at the corner.
         """
         viscosity = apparent(g, rate)
-        most = viscosity * rate
+        # Where there is no edge, the stress of the two lines that are integrated.
+        most = wp.min(rate * unyielded(g), g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded(g)))
         if most + change <= g.yield_stress or most - change >= g.yield_stress or change <= scalar(0.01) * most:
             return viscosity
         low = scalar(0.0)
@@ -83,7 +83,7 @@ def bingham_functions(scalar) -> SimpleNamespace:
                 low = middle
             else:
                 high = middle
-        return wp.max(high / rate, g.viscosity)
+        return viscosity * high / most
 
     @wp.func
     def beside_wall(g: Cells, stress: scalar, inner: scalar, width: scalar):

@@ -162,7 +162,7 @@ def grid_functions(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
 
     @wp.func
     def known(kind: wp.int32) -> wp.bool:
-        return kind == LIQUID or kind == FIXED
+        return wp.where(kind == LIQUID, True, kind == FIXED)
 
     @wp.func
     def shear(g: Cells, mesh: Mesh, i: wp.int32, k: wp.int32):

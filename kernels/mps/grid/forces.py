@@ -5,7 +5,6 @@ a face loses its neighbours win, whatever the viscosity does between them.
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
@@ -16,16 +15,12 @@ from .cells import FORCE, INSIDE, LIQUID, OPEN, cells_struct, grid_functions, gr
 
 
 @functools.cache
-def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNamespace:
-    """Kernels `thicken` (viscosities), `rub` (walls), `push` (forces and matrix), a task a slot each."""
+def viscosity_kernel(scalar, axial: bool, periodic: bool):
+    """Apparent viscosity of a cell and of its corner, each for the whole rate of shear there."""
     Cells = cells_struct(scalar)
-    structs = grid_structs(scalar)
-    Mesh, Walls = structs.Mesh, structs.Walls
-    solves = array_structs(scalar, 2)
-    Matrix, Solve = solves.Matrix, solves.NumberSolve
+    Mesh = grid_structs(scalar).Mesh
     f = grid_functions(scalar, axial, periodic)
     law = bingham_functions(scalar)
-    entry = row_place(serial)
 
     @wp.func
     def stretch_square(g: Cells, mesh: Mesh, i: wp.int32, k: wp.int32) -> scalar:
@@ -33,13 +28,23 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
 
     @wp.func
     def change(g: Cells, mesh: Mesh, i: wp.int32, k: wp.int32, axis: wp.int32) -> scalar:
-        """Of the shear stress at a corner over a cell."""
-        after, before = f.at(g, i + 1 - axis, k + axis), f.at(g, i - 1 + axis, k - axis)
-        return scalar(0.5) * wp.abs(mesh.stress[after] - mesh.stress[before])
+        """Of the shear stress at a corner over a cell, smoothed aside: what swings between cells must not feed it."""
+        sum = scalar(0.0)
+        for n in range(3):
+            a, b = i + (n - 1) * axis, k + (n - 1) * (1 - axis)
+            after, before = f.at(g, a + 1 - axis, b + axis), f.at(g, a - 1 + axis, b - axis)
+            sum += wp.where(n == 1, scalar(0.5), scalar(0.25)) * (mesh.stress[after] - mesh.stress[before])
+        return scalar(0.5) * wp.abs(sum)
+
+    @wp.func
+    def relaxed(before: scalar, now: scalar) -> scalar:
+        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of the wall swing."""
+        if before > scalar(0.0):
+            return wp.sqrt(before * now)
+        return now
 
     @wp.kernel(enable_backward=False, module="unique")
-    def thicken(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """Apparent viscosity of a cell and of its corner, each for the whole rate of shear there."""
+    def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -56,7 +61,7 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
                         sum += rate * rate
                         count += scalar(1.0)
             square = stretch_square(g, mesh, i, k) + sum / wp.max(count, scalar(1.0))
-            mesh.in_cell[c] = law.apparent(g, wp.sqrt(square))
+            mesh.in_cell[c] = relaxed(mesh.in_cell[c], law.apparent(g, wp.sqrt(square)))
         rate, volume = f.shear(g, mesh, i, k)
         if volume > scalar(0.0):
             sum = scalar(0.0)
@@ -68,21 +73,28 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
                         count += scalar(1.0)
             whole = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
             most = wp.max(change(g, mesh, i, k, 0), change(g, mesh, i, k, 1))
-            mesh.in_corner[c] = law.apparent_at_edge(g, whole, most)
+            mesh.in_corner[c] = relaxed(mesh.in_corner[c], law.apparent_at_edge(g, whole, most))
+
+    return viscosity
+
+
+@functools.cache
+def wall_kernel(scalar, axial: bool, periodic: bool):
+    """Stress of walls on the faces along them."""
+    Cells = cells_struct(scalar)
+    structs = grid_structs(scalar)
+    Mesh, Walls = structs.Mesh, structs.Walls
+    f = grid_functions(scalar, axial, periodic)
+    law = bingham_functions(scalar)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rub(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh):
-        """Stress of walls on the faces along them, and shear stress at corners."""
+    def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh):
         if flags[HALTED] != 0:
             return
         c = wp.tid()
         i, k = f.column(g, c), f.row(g, c)
         if not f.on_grid(g, i, k):
             return
-        rate, volume = f.shear(g, mesh, i, k)
-        if volume > scalar(0.0):
-            # Half the way: what takes this stress into account is of the next step, and would swing.
-            mesh.stress[c] = scalar(0.5) * (mesh.stress[c] + rate * mesh.in_corner[c])
         for axis in range(2):
             r = c + axis * g.slots
             for side in range(2):
@@ -114,8 +126,7 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
                                     ring -= outer * width / (scalar(6.0) * radius - outer * scalar(3.0) * width)
                             ci = i + (1 - side) * axis
                             ck = k + (1 - side) * (1 - axis)
-                            inner_rate, _ = f.shear(g, mesh, ci, ck)
-                            inner = wp.max(turn * inner_rate * mesh.in_corner[f.at(g, ci, ck)], scalar(0.0))
+                            inner = wp.max(turn * mesh.stress[f.at(g, ci, ck)], scalar(0.0))
                             stress, growth, slip = law.at_wall(
                                 g, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall],
                                 walls.slip_yield[wall],
@@ -124,6 +135,19 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
                             mesh.growth[place] = growth
                             mesh.slip[place] = still + way * slip
                             mesh.stress[f.at(g, i + side * axis, k + side * (1 - axis))] = turn * stress
+
+    return wall_stress
+
+
+@functools.cache
+def momentum_kernel(scalar, serial: bool, axial: bool, periodic: bool):
+    """Forces on the faces at the known velocities, and rows of the matrix of their implicit change."""
+    Cells = cells_struct(scalar)
+    Mesh = grid_structs(scalar).Mesh
+    solves = array_structs(scalar, 2)
+    Matrix, Solve = solves.Matrix, solves.NumberSolve
+    f = grid_functions(scalar, axial, periodic)
+    entry = row_place(serial)
 
     @wp.func
     def put(
@@ -138,13 +162,17 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
         return count + 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def push(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, viscous: Solve):
-        """Forces on two faces of a cell at the known velocities, and rows of the matrix."""
+    def momentum(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, viscous: Solve):
         if flags[HALTED] != 0:
             return
         c = wp.tid()
         i, k = f.column(g, c), f.row(g, c)
         rows = 2 * g.slots
+        if f.on_grid(g, i, k):
+            corner_rate, corner_volume = f.shear(g, mesh, i, k)
+            if corner_volume > scalar(0.0):
+                # Half the way: what takes this stress into account is of the next step, and would swing.
+                mesh.stress[c] = scalar(0.5) * (mesh.stress[c] + corner_rate * mesh.in_corner[c])
         for axis in range(2):
             r = c + axis * g.slots
             count = wp.int32(0)
@@ -212,4 +240,4 @@ def force_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNa
             matrix.diagonal[r] = diagonal
             viscous.residual[r] = force
 
-    return SimpleNamespace(thicken=thicken, rub=rub, push=push)
+    return momentum

@@ -13,7 +13,7 @@ from .cells import ACTED, FORCE, LIQUID, PUSH, cells_struct, grid_functions, gri
 
 @functools.cache
 def pressure_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNamespace:
-    """Kernels `weigh` before the solve, `project` after it, a task a slot each."""
+    """Kernels `divergence` before the solve, `project` after it, a task a slot each."""
     Cells = cells_struct(scalar)
     Mesh = grid_structs(scalar).Mesh
     solves = array_structs(scalar, 2)
@@ -22,7 +22,7 @@ def pressure_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> Simpl
     entry = row_place(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def weigh(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, projection: Solve):
+    def divergence(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, projection: Solve):
         """Volume that flows into a cell, and its row of the matrix of the pressure's increment."""
         if flags[HALTED] != 0:
             return
@@ -76,7 +76,7 @@ def pressure_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> Simpl
                 mesh.velocity[r] = mesh.velocity[r] - ease * rise
         mesh.pressure[c] = wp.where(mesh.liquid[c] != 0, mesh.pressure[c] + mesh.increment[c], scalar(0.0))
 
-    return SimpleNamespace(weigh=weigh, project=project)
+    return SimpleNamespace(divergence=divergence, project=project)
 
 
 @functools.cache

@@ -11,13 +11,11 @@ from .cells import AIR, BIN, FIXED, INSIDE, LIQUID, OPEN, cells_struct, grid_fun
 
 
 @functools.cache
-def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
-    """Kernels `clear`, `sort`, `wet`, `gather` before the forces, `extend` and `advect` after the projection."""
-    t = mps_types(scalar, 2)
-    vec, mat = t.vec, t.mat
+def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
+    """Kernels `clear`, `sort` and `wet`: which particles are in which cell, and which cells hold concrete."""
     Cells = cells_struct(scalar)
     structs = grid_structs(scalar)
-    Particles, Mesh, Walls = structs.Particles, structs.Mesh, structs.Walls
+    Particles, Mesh = structs.Particles, structs.Mesh
     f = grid_functions(scalar, axial, periodic)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -60,8 +58,20 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             liquid = 1
         mesh.liquid[c] = liquid
 
+    return SimpleNamespace(clear=clear, sort=sort, wet=wet)
+
+
+@functools.cache
+def gather_kernel(scalar, axial: bool, periodic: bool):
+    """Kinds and volumes of the faces, and the velocities that particles bring to them; a task a slot."""
+    vec = mps_types(scalar, 2).vec
+    Cells = cells_struct(scalar)
+    structs = grid_structs(scalar)
+    Particles, Mesh, Walls = structs.Particles, structs.Mesh, structs.Walls
+    f = grid_functions(scalar, axial, periodic)
+
     @wp.func
-    def sort_of(mesh: Mesh, a: wp.int32, b: wp.int32) -> wp.int32:
+    def kind_of(mesh: Mesh, a: wp.int32, b: wp.int32) -> wp.int32:
         """Kind of the face between two cells."""
         if mesh.solid[a] != OPEN and mesh.solid[b] != OPEN:
             return INSIDE
@@ -102,7 +112,6 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, walls: Walls, mesh: Mesh):
-        """A task a slot: kinds, volumes and velocities of two faces of the cell."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -116,27 +125,34 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             volume = scalar(0.0)
             if (axis == 0 and i >= 0) or (axis == 1 and k >= 0):
                 low = f.at(g, i - 1 + axis, k - axis)
-                kind = sort_of(mesh, low, c)
+                kind = kind_of(mesh, low, c)
                 if kind == FIXED:
                     mesh.velocity[r] = walls.velocity[wp.max(mesh.solid[low], mesh.solid[c])][axis]
                 if kind == LIQUID:
                     width = wp.where(axis == 0, g.dx, g.dz)
-                    volume = (
-                        scalar(0.5) * scalar(mesh.liquid[low] + mesh.liquid[c]) * f.face_area(g, i, axis) * width
-                    )
+                    volume = scalar(0.5) * scalar(mesh.liquid[low] + mesh.liquid[c]) * f.face_area(g, i, axis) * width
                     mesh.velocity[r] = brought(g, particles, mesh, i, k, axis, mesh.velocity[r])
             mesh.kind[r] = kind
             mesh.volume[r] = volume
+
+    return gather
+
+
+@functools.cache
+def extend_kernel(scalar, axial: bool, periodic: bool):
+    """Velocities of faces in the air and within walls, from those beside them, for particles there; a task a slot.
+
+    Beside a wall the velocity goes on in a straight line through that at the wall.
+    """
+    Cells = cells_struct(scalar)
+    Mesh = grid_structs(scalar).Mesh
+    f = grid_functions(scalar, axial, periodic)
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
         g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, again: wp.int32, before: wp.array(dtype=scalar),
         known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar), known_after: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """A task a slot: velocities of faces in the air and within walls, from those beside them, for particles there.
-
-        Beside a wall the velocity goes on in a straight line through that at the wall.
-        """
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -174,6 +190,19 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             after[r] = value
             known_after[r] = good
 
+    return extend
+
+
+@functools.cache
+def advect_kernel(scalar, axial: bool, periodic: bool):
+    """Particles take the velocity around them and go with that of half a step later; a task a particle."""
+    t = mps_types(scalar, 2)
+    vec, mat = t.vec, t.mat
+    Cells = cells_struct(scalar)
+    structs = grid_structs(scalar)
+    Particles, Mesh = structs.Particles, structs.Mesh
+    f = grid_functions(scalar, axial, periodic)
+
     @wp.func
     def sample(
         g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
@@ -194,12 +223,8 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             for b in range(2):
                 r = f.at(g, wp.min(i + a, g.nx), k + b) + axis * g.slots
                 if good[r] != 0:
-                    part = vec(
-                        wp.where(a == 0, scalar(1.0) - s[0], s[0]), wp.where(b == 0, scalar(1.0) - s[1], s[1])
-                    )
-                    change = vec(
-                        wp.where(a == 0, -part[1], part[1]) / g.dx, wp.where(b == 0, -part[0], part[0]) / g.dz
-                    )
+                    part = vec(wp.where(a == 0, scalar(1.0) - s[0], s[0]), wp.where(b == 0, scalar(1.0) - s[1], s[1]))
+                    change = vec(wp.where(a == 0, -part[1], part[1]) / g.dx, wp.where(b == 0, -part[0], part[0]) / g.dz)
                     value += part[0] * part[1] * velocity[r]
                     whole += part[0] * part[1]
                     slope += velocity[r] * change
@@ -219,7 +244,6 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, velocity: wp.array(dtype=scalar),
         good: wp.array(dtype=wp.int32), particles: Particles, late: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """A task a particle: it takes the velocity around it and goes with that of half a step later."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
@@ -247,4 +271,4 @@ def transfer_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             late[1] = 1
         particles.position[p] = after
 
-    return SimpleNamespace(clear=clear, sort=sort, wet=wet, gather=gather, extend=extend, advect=advect)
+    return advect

@@ -29,9 +29,9 @@ from ...kernels.mps.conjugate_gradient import (
     serial_solver,
 )
 from ...kernels.mps.grid.cells import PRESSURE_NEIGHBOURS, VELOCITY_NEIGHBOURS
-from ...kernels.mps.grid.forces import force_kernels
+from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernel, wall_kernel
 from ...kernels.mps.grid.pressure import drive_kernels, pressure_kernels
-from ...kernels.mps.grid.transfer import transfer_kernels
+from ...kernels.mps.grid.transfer import advect_kernel, bin_kernels, extend_kernel, gather_kernel
 from ...kernels.mps.motion import finish
 from ...kernels.mps.structs import LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
@@ -108,6 +108,21 @@ class GridFlow:
     def _zeros(self, struct: Any, name: str, size: int) -> wp.array:
         return wp.zeros(size, dtype=struct.vars[name].type.dtype, device=self.device)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Of what it consists of."""
+        nx, nz = self.state.layout.cells
+        return {"particles": self.count, "cells": nx * nz}
+
+    @property
+    def holdings(self) -> dict[str, Any]:
+        """What holds its memory, by part."""
+        systems = self.viscous, self.projection
+        return {
+            "particles": self.particles, "grid": self.mesh, "matrix": [system.matrix for system in systems],
+            "solves": [system.arrays for system in systems],
+        }  # fmt: skip
+
     # Stages.
 
     @property
@@ -127,28 +142,32 @@ class GridFlow:
     def _stages(self) -> list[Any]:
         slots, serial = self.state.slots, not self.parallel
         kind = self.state.layout.axial, True
-        transfer = transfer_kernels(self.scalar, *kind)
-        forces = force_kernels(self.scalar, serial, *kind)
+        bins = bin_kernels(self.scalar, *kind)
         pressure = pressure_kernels(self.scalar, serial, *kind)
         velocity, increment = self.mesh.velocity, self.mesh.increment
         return [
-            self.stage(transfer.clear, slots),
-            self.stage(transfer.sort, self.count),
-            self.stage(transfer.wet, slots),
-            self.stage(transfer.gather, slots),
-            self.stage(forces.thicken, slots),
-            self.stage(forces.rub, slots),
-            self.stage(forces.push, slots, matrix=self.viscous.matrix, viscous=self.viscous.arrays),
+            self.stage(bins.clear, slots),
+            self.stage(bins.sort, self.count),
+            self.stage(bins.wet, slots),
+            self.stage(gather_kernel(self.scalar, *kind), slots),
+            self.stage(viscosity_kernel(self.scalar, *kind), slots),
+            self.stage(wall_kernel(self.scalar, *kind), slots),
+            self.stage(
+                momentum_kernel(self.scalar, serial, *kind), slots, matrix=self.viscous.matrix,
+                viscous=self.viscous.arrays,
+            ),
             *self._solve(self.viscous, VISCOSITY, velocity, 0.0, VELOCITY_ERROR * self._force),
-            self.stage(pressure.weigh, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
+            self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(
                 self.projection, PRESSURE, increment, self.scene.tolerance,
                 LEAST_PRESSURE * self.scene.tolerance * self._force / self.scene.radius,
             ),
             self.stage(pressure.project, slots),
             *self._drive(),
-            *self._extend(transfer.extend),
-            self.stage(transfer.advect, self.count, velocity=self._carried[0], good=self._known[0]),
+            *self._extend(extend_kernel(self.scalar, *kind)),
+            self.stage(
+                advect_kernel(self.scalar, *kind), self.count, velocity=self._carried[0], good=self._known[0]
+            ),
             Stage(finish, 1, {"late": self.late, "flags": self.flags}, self.device),
         ]  # fmt: skip
 

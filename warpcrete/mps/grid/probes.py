@@ -31,7 +31,8 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     if flow.steps:  # before, nothing lies on the grid
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     traction, slip = (
-        getattr(state.mesh, name).numpy().astype(float).reshape(4, *state.shape)[2:, 1:-1] for name in ("traction", "slip")
+        getattr(state.mesh, name).numpy().astype(float).reshape(4, *state.shape)[2:, 1:-1]
+        for name in ("traction", "slip")
     )
     # Walls on the left of a channel's first column of cells, on the right of its last one, or a tube's last one.
     sides = [(1, -2)] if layout.axial else [(0, 1), (1, -2)]
@@ -72,8 +73,8 @@ def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
 
 
 def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the axis [m] and mean velocity over a cell [m/s], at a `height` [m] or amid the stretch; a channel's
-    from wall to wall, by distance.
+    """Distance from the axis or middle [m] and mean velocity over a cell [m/s], in that order, at a `height` [m] or
+    amid the stretch.
     """
     layout = flow.state.layout
     height = 0.5 * layout.height if height is None else height
@@ -81,4 +82,3 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
     across = np.abs(layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing)
     order = np.argsort(across, kind="stable")
     return across[order], flow.state.faces("velocity")[1, row, 1:-1][order]
-

@@ -24,7 +24,7 @@ FINE = 40
 PIPE, AXIS = 1, 2
 """Numbers of walls."""
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
-MESH_ARRAYS = ("velocity", "pressure", "stress", "drive")
+MESH_ARRAYS = ("velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
 """What the next step depends on."""
 SLOT_BYTES = 4 * (int(BIN) + 90)
 """Of a cell with its faces, its rows of both systems and its particles, in single precision, at most."""
@@ -51,14 +51,18 @@ class GridLayout:
     axial: bool
 
 
-def grid_layout(scene: FluidScene) -> GridLayout:
-    """Cells as wide as the wanted spacing: the nearest width that divides the channel, or the radius of the tube."""
-    axial = scene.dimensions == 3
-    across = scene.radius if axial else 2 * scene.radius
+def cells_of(scene: FluidScene) -> tuple[int, int]:
+    """Cells across and along, of the width nearest to the wanted spacing that divides a channel, or a tube's radius."""
+    across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))
-    dx = across / nx
-    nz = max(2, round(scene.length / dx))
-    dz = scene.length / nz
+    return nx, max(2, round(scene.length * nx / across))
+
+
+def grid_layout(scene: FluidScene) -> GridLayout:
+    """Cells from wall to wall, or from the axis to the wall, and particles evenly in them."""
+    axial = scene.dimensions == 3
+    nx, nz = cells_of(scene)
+    dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz
     left = 0.0 if axial else -scene.radius
     i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
     fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
@@ -85,12 +89,12 @@ class GridState:
 
     def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
         self.scene, self.device, self.scalar = scene, device, scalar_of(precision)
-        self.layout = grid_layout(scene)
-        nx, nz = self.layout.cells
+        nx, nz = cells_of(scene)
         self.shape = nz + 2, nx + 2
         self.slots = self.shape[0] * self.shape[1]
-        self.count = len(self.layout.fluid)
         self._check_memory()
+        self.layout = grid_layout(scene)
+        self.count = len(self.layout.fluid)
         self.structs = grid_structs(self.scalar)
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         start = np.zeros_like(self.layout.fluid)
@@ -99,8 +103,8 @@ class GridState:
             self.structs.Particles, position=self.layout.fluid, velocity=start, mass=self.layout.mass,
             gradient=self.count, pressure=self.count,
         )  # fmt: skip
-        sizes = {"bin": self.slots * int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2}
-        counts = {n: sizes.get(n, 1) * (1 if n == "bin" else self.slots) for n in self.structs.Mesh.vars}
+        sizes = {"bin": int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2}
+        counts = {name: sizes.get(name, 1) * self.slots for name in self.structs.Mesh.vars}
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = scene.concrete.density * scene.gravity
         self.mesh = self._filled(
