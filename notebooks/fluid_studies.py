@@ -408,7 +408,8 @@ def _falls(result: dict) -> tuple[float, float]:
 
 def main() -> None:
     """Run the studies asked for."""
-    names = ["resolution", "thickness", "flow", "shear", "fields", "rigidity", "migration", "tube", "paper_scheme", "long"]
+    names = ["resolution", "thickness", "flow", "shear", "fields", "rigidity", "migration", "tube", "paper_scheme"]
+    names.append("long")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device")
     parser.add_argument("--out", type=Path, required=True)

@@ -19,12 +19,14 @@ from warpcrete.studies.trade import resume_trade, run_trade
 HERE = Path(__file__).parent
 PAGE = HERE / "trade.md"
 NARROW = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.3}
+NARROW_BEND = NARROW | {"unit": "D", "elbow_radius": 0.3}
 HYDRATED = {"hydration": 0.05, "hydration_modulus": 1e7, "length": 0.4, "ramp": 0.1, "travel": 0.2}
 TRADES = {
     "pipe-vertical": ("pipe", {}, "cuda", 400),
     "pipe-bend": ("pipe", {"unit": "D"}, "cuda", 200),
     "pipe-hydrated": ("pipe", HYDRATED, "cuda", 110),
     "pipe-narrow": ("pipe", NARROW, "cpu", 840),
+    "pipe-narrow-bend": ("pipe", NARROW_BEND, "cpu", 2100),
     "channel": ("channel", {}, "cpu", 180),
     "tube": ("tube", {}, "cpu", 360),
     "two-phases": ("channel", {"aggregates": True, "duration": 0.1}, "cpu", 240),

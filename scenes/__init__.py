@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .channel import scene as channel
     from .pipe import scene as pipe
+    from .slump import scene as slump
     from .tube import scene as tube
 
-__all__ = ["channel", "modules", "pipe", "tube"]
+__all__ = ["channel", "modules", "pipe", "slump", "tube"]
 
 
 def modules() -> dict[str, ModuleType]:

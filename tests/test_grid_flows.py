@@ -16,6 +16,7 @@ from warpcrete.kernels.mps.grid.bingham import bingham_functions
 from warpcrete.kernels.mps.grid.cells import LIQUID, cells_struct
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.grid.flow import GridFlow
+from warpcrete.mps.grid.layout import pipe_layout
 from warpcrete.mps.grid.state import GridState
 from warpcrete.mps.simulation import FluidSimulation
 
@@ -151,7 +152,7 @@ def test_start_up_follows_the_solution_in_one_dimension(device, kind):
 
 def grid_of(device, kind="channel", precision="float64", **given):
     scene = dataclasses.replace(periodic(kind, spacing=10e-3, length=0.1, **STICKING | given), precision=precision)
-    return GridFlow(GridState(scene, find_device(device), precision))
+    return GridFlow(GridState(scene, pipe_layout(scene), find_device(device), precision))
 
 
 def stages_through(flow, name):

@@ -8,6 +8,7 @@ from .core.errors import refuse
 from .core.method import Method
 from .core.run_loop import Run, Simulation
 from .dem.method import METHOD as DISCRETE_ELEMENTS
+from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
@@ -15,6 +16,7 @@ __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
+    FREE_FLOWS,
 )
 
 

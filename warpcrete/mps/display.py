@@ -53,7 +53,7 @@ class FlowDisplay(Display):
 
     def scale(self) -> tuple[str, float, float] | None:
         """What colours show, as read, with its lowest and highest value; None for colours of things."""
-        scene, theory = self.simulation.scene, self.simulation.flow.theory
+        scene, theory = self.simulation.scene, self.simulation.scene.theory()
         if self.colouring == "pressure":
             return "pressure [kPa]", 0.0, theory.pressure / 1e3
         if self.colouring == "speed":
@@ -79,7 +79,7 @@ class FlowDisplay(Display):
 
     def plots(self) -> tuple[Plot, ...]:
         """Pressure on the piston and slip velocity, beside theory."""
-        theory = self.simulation.flow.theory
+        theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.driven.capitalize(), (
                 Curve("piston", f"{self.driven} [kPa]", lambda row: row["pressure"] / 1e3, OURS),

@@ -16,7 +16,8 @@ from . import probes
 from .display import FlowDisplay
 from .grid import probes as grid_probes
 from .grid.flow import GridFlow
-from .grid.state import GridState
+from .grid.layout import pipe_cells, pipe_layout
+from .grid.state import GridState, check_memory
 from .particles import MovingParticles
 from .probes import UNITS
 from .quantities import QUANTITIES, Known
@@ -87,7 +88,8 @@ class FluidSimulation(Simulation):
         self.tell("packing", 0.0)
         self.flow: MovingParticles | GridFlow
         if self._periodic:
-            self.flow = GridFlow(GridState(self.scene, self.device, self.precision))
+            check_memory(pipe_cells(self.scene), self.device, self.precision)
+            self.flow = GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
         else:
             self.flow = MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
         self.stepper = self.flow
@@ -166,8 +168,8 @@ class FluidSimulation(Simulation):
                 "largest": quantity(grains.size.max(), "m"),
             }
         if len(rows) > 1:
-            result |= results_of(QUANTITIES, Known(scene, series, flow.theory))
-            result["theory"] = flow.theory.form
+            result |= results_of(QUANTITIES, Known(scene, series, scene.theory()))
+            result["theory"] = scene.form
             result["profiles"] = [self._profile(part) for part in PROFILES]
             outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
             result["iterations"] = outcomes
@@ -186,10 +188,10 @@ class FluidSimulation(Simulation):
         height = part * self.flow.state.layout.height
         radius, mean = self._probes.profile(self.flow, height)
         if isinstance(self.flow, GridFlow):
-            theory = self.flow.state.theory_profile
+            theory = grid_probes.theory_profile(self.scene, self.flow.state.layout)
         else:
             places = np.minimum(radius, self.scene.radius)
-            theory = velocity(self.scene.concrete, self.scene.line, self.flow.theory, places)
+            theory = velocity(self.scene.concrete, self.scene.line, self.scene.theory(), places)
         return {
             "height": quantity(height, "m"),
             "radius": {"value": radius.tolist(), "unit": "m"},

@@ -15,6 +15,7 @@ from ...common.types import types
 from ..structs import mps_types
 
 OPEN = wp.constant(0)  # of `solid`: a cell that concrete may fill; above it, number of the wall that fills it
+GATE = wp.constant(3)  # one that opens
 # Kinds of faces.
 AIR = wp.constant(0)  # no concrete on either side
 LIQUID = wp.constant(1)  # concrete on one side or both: unknown
@@ -50,6 +51,7 @@ def cells_struct(scalar):
         viscosity: scalar  # plastic [Pa s]
         yield_stress: scalar  # [Pa]
         regularisation: scalar  # beta [s]
+        volume: scalar  # of the mean particle, of a metre's depth or a radian
         resistance: wp.float64  # growth of the wall's force per volume with the mean velocity [kg/m3/s]
 
     return Cells
@@ -71,7 +73,10 @@ def grid_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Mesh:
         solid: wp.array(dtype=wp.int32)  # OPEN or number of the wall, shape (slots,) as the next
+        opens: wp.array(dtype=scalar)  # when a gate's cell opens [s]; without gates it has no rows
         liquid: wp.array(dtype=wp.int32)  # 1 where there is concrete
+        crowd: wp.array(dtype=scalar)  # of particles around a cell's middle, over as many as fill it
+        fill: wp.array(dtype=scalar)  # part of the cell that concrete fills
         count: wp.array(dtype=wp.int32)  # particles in a cell
         bin: wp.array(dtype=wp.int32)  # which, shape (slots * BIN,)
         kind: wp.array(dtype=wp.int32)  # of a face, shape (2 slots,) as the next
@@ -80,6 +85,8 @@ def grid_structs(scalar) -> SimpleNamespace:
         volume: wp.array(dtype=scalar)  # of concrete that a face stands for
         pressure: wp.array(dtype=scalar)  # in the cells [Pa], shape (slots,) as the next
         increment: wp.array(dtype=scalar)  # of the pressure in this step [Pa]
+        potential: wp.array(dtype=scalar)  # whose slope moves particles off crowds, as a pressure would [Pa]
+        shift: wp.array(dtype=scalar)  # velocity of that, across a face [m/s], shape (2 slots,)
         in_cell: wp.array(dtype=scalar)  # apparent viscosity [Pa s]
         in_corner: wp.array(dtype=scalar)  # likewise
         stress: wp.array(dtype=scalar)  # shear stress at a corner in the step before, a wall's where there is one [Pa]
@@ -173,8 +180,8 @@ def grid_functions(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         u0, u1, w0, w1 = below, here, left + g.slots, here + g.slots
         if known(mesh.kind[u0]) and known(mesh.kind[u1]) and known(mesh.kind[w0]) and known(mesh.kind[w1]):
             rate = (mesh.velocity[u1] - mesh.velocity[u0]) / g.dz + (mesh.velocity[w1] - mesh.velocity[w0]) / g.dx
-            wet = mesh.liquid[here] + mesh.liquid[left] + mesh.liquid[below] + mesh.liquid[at(g, i - 1, k - 1)]
-            volume = scalar(0.25) * scalar(wet) * side_weight(g, i) * g.dx * g.dz
+            wet = mesh.fill[here] + mesh.fill[left] + mesh.fill[below] + mesh.fill[at(g, i - 1, k - 1)]
+            volume = scalar(0.25) * wet * side_weight(g, i) * g.dx * g.dz
         return rate, volume
 
     @wp.func

@@ -72,7 +72,10 @@ def viscosity_kernel(scalar, axial: bool, periodic: bool):
                         sum += stretch_square(g, mesh, i - a, k - b)
                         count += scalar(1.0)
             whole = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
-            most = wp.max(change(g, mesh, i, k, 0), change(g, mesh, i, k, 1))
+            # Beside a free surface stress varies both ways, and by what particles happen to do.
+            most = scalar(0.0)
+            if wp.static(periodic):
+                most = wp.max(change(g, mesh, i, k, 0), change(g, mesh, i, k, 1))
             mesh.in_corner[c] = relaxed(mesh.in_corner[c], law.apparent_at_edge(g, whole, most))
 
     return viscosity
@@ -199,7 +202,7 @@ def momentum_kernel(scalar, serial: bool, axial: bool, periodic: bool):
                     b = k - (1 - side) * axis
                     o = f.at(g, a, b)
                     if mesh.liquid[o] != 0:
-                        both = scalar(2.0) * f.cell_volume(g, a) * mesh.in_cell[o]
+                        both = scalar(2.0) * mesh.fill[o] * f.cell_volume(g, a) * mesh.in_cell[o]
                         rates = f.stretch(g, mesh, a, b)
                         force -= both * way * rates[axis] / along
                         own = both / (along * along)
@@ -232,7 +235,7 @@ def momentum_kernel(scalar, serial: bool, axial: bool, periodic: bool):
                     # The wall along this end.
                     place = c + (2 * axis + side) * g.slots
                     if mesh.growth[place] > scalar(0.0):
-                        area = scalar(0.5) * scalar(mesh.liquid[low] + mesh.liquid[c]) * along * f.side_weight(g, a)
+                        area = scalar(0.5) * (mesh.fill[low] + mesh.fill[c]) * along * f.side_weight(g, a)
                         force -= area * mesh.traction[place]
                         diagonal += area * mesh.growth[place]
             matrix.free[r] = wp.where(unknown, 0, 1)

@@ -8,7 +8,10 @@ import warp as wp
 from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import array_structs, row_place
-from .cells import ACTED, FORCE, LIQUID, PUSH, cells_struct, grid_functions, grid_structs
+from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, cells_struct, grid_functions, grid_structs
+
+CORRECTED = 0.1
+"""Part of what is too much or too little in a cell that a step takes away."""
 
 
 @functools.cache
@@ -77,6 +80,58 @@ def pressure_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> Simpl
         mesh.pressure[c] = wp.where(mesh.liquid[c] != 0, mesh.pressure[c] + mesh.increment[c], scalar(0.0))
 
     return SimpleNamespace(divergence=divergence, project=project)
+
+
+@functools.cache
+def crowd_kernels(scalar, axial: bool) -> SimpleNamespace:
+    """Kernels `source` and `disperse`, before and after a solve with the matrix of the pressure, a task a slot each.
+
+    Particles drift together and apart, as no divergence in the cells does not keep them; a part of what is too much or
+    too little is taken away by a displacement that no velocity feels.
+    """
+    Cells = cells_struct(scalar)
+    Mesh = grid_structs(scalar).Mesh
+    Solve = array_structs(scalar, 2).NumberSolve
+    f = grid_functions(scalar, axial, False)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def source(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, projection: Solve):
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        i, k = f.column(g, c), f.row(g, c)
+        mesh.potential[c] = scalar(0.0)
+        excess = scalar(0.0)
+        if mesh.liquid[c] != 0:
+            excess = mesh.crowd[c] - scalar(1.0)
+            if excess < scalar(0.0):
+                # Less than full may be the surface's right.
+                for a in range(-1, 2):
+                    for b in range(-1, 2):
+                        o = f.at(g, i + a, k + b)
+                        if mesh.solid[o] == OPEN and mesh.fill[o] < scalar(1.0):
+                            excess = scalar(0.0)
+            excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
+            excess *= scalar(CORRECTED) * f.cell_volume(g, i) / g.dt
+        projection.residual[c] = g.density / g.dt * excess
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def disperse(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        i, k = f.column(g, c), f.row(g, c)
+        for axis in range(2):
+            r = c + axis * g.slots
+            speed = scalar(0.0)
+            if f.on_grid(g, i, k) and mesh.kind[r] == LIQUID:
+                rise = mesh.potential[c] - mesh.potential[f.at(g, i - 1 + axis, k - axis)]
+                speed = -g.dt / g.density * f.face_area(g, i, axis) / mesh.volume[r] * rise
+                width = wp.where(axis == 0, g.dx, g.dz)
+                speed = wp.clamp(speed, -scalar(0.05) * width / g.dt, scalar(0.05) * width / g.dt)
+            mesh.shift[r] = speed
+
+    return SimpleNamespace(source=source, disperse=disperse)
 
 
 @functools.cache

@@ -5,23 +5,33 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ...common.control import HALTED
+from ...common.control import HALTED, STEPS
 from ..structs import mps_types
-from .cells import AIR, BIN, FIXED, INSIDE, LIQUID, OPEN, cells_struct, grid_functions, grid_structs
+from .cells import AIR, BIN, FIXED, GATE, INSIDE, LIQUID, OPEN, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
 def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
-    """Kernels `clear`, `sort` and `wet`: which particles are in which cell, and which cells hold concrete."""
+    """Kernels `clear`, `lift`, `sort`, `order` and `fill`: which particles are in which cell, which cells are full."""
     Cells = cells_struct(scalar)
     structs = grid_structs(scalar)
     Particles, Mesh = structs.Particles, structs.Mesh
     f = grid_functions(scalar, axial, periodic)
+    vec = mps_types(scalar, 2).vec
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
         """A task a slot: no particles."""
         mesh.count[wp.tid()] = 0
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def lift(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        """A task a slot: a gate's cells open when their time has come."""
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        if mesh.solid[c] == GATE and scalar(flags[STEPS]) * g.dt >= mesh.opens[c]:
+            mesh.solid[c] = OPEN
 
     @wp.kernel(enable_backward=False, module="unique")
     def sort(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
@@ -35,8 +45,8 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             mesh.bin[c * BIN + place] = p
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wet(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a slot: is there concrete in the cell? Its particles in the order of their numbers, for equal sums."""
+    def order(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        """A task a slot: particles of a cell in the order of their numbers, for equal sums."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -53,12 +63,50 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
                 mesh.bin[begin + b] = mesh.bin[begin + b - 1]
                 b -= 1
             mesh.bin[begin + b] = own
-        liquid = wp.int32(0)
-        if mesh.solid[c] == OPEN and (wp.static(periodic) or count > 0):
-            liquid = 1
-        mesh.liquid[c] = liquid
 
-    return SimpleNamespace(clear=clear, sort=sort, wet=wet)
+    @wp.kernel(enable_backward=False, module="unique")
+    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
+        """A task a slot: how much of a cell concrete fills, by the particles around its middle.
+
+        A flat surface spreads over two cells; half as steep again, and cut at nothing and all, it holds as much, and
+        how particles lie within the concrete does not matter.
+        """
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        i, k = f.column(g, c), f.row(g, c)
+        if i < 0 or k < 0 or i >= g.nx or k >= g.nz:
+            return
+        part = scalar(0.0)
+        crowd = scalar(1.0)
+        if mesh.solid[c] == OPEN:
+            part = scalar(1.0)
+            if wp.static(not periodic):
+                place = vec(g.left + (scalar(i) + scalar(0.5)) * g.dx, (scalar(k) + scalar(0.5)) * g.dz)
+                sum = scalar(0.0)
+                room = scalar(0.0)
+                for a in range(-1, 2):
+                    for b in range(-1, 2):
+                        o = f.at(g, i + a, k + b)
+                        if mesh.solid[o] == OPEN:
+                            share = wp.where(a == 0, scalar(0.75), scalar(0.125)) * (
+                                wp.where(b == 0, scalar(0.75), scalar(0.125))
+                            )
+                            room += share * f.cell_volume(g, i + a)
+                            if i + a >= 0 and i + a < g.nx and k + b < g.nz:
+                                for n in range(mesh.count[o]):
+                                    p = mesh.bin[o * BIN + n]
+                                    d = particles.position[p] - place
+                                    near = (scalar(1.0) - wp.abs(d[0]) / g.dx) * (scalar(1.0) - wp.abs(d[1]) / g.dz)
+                                    if wp.abs(d[0]) < g.dx and wp.abs(d[1]) < g.dz:
+                                        sum += near * particles.mass[p]
+                crowd = sum * g.volume / room
+                part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
+        mesh.crowd[c] = crowd
+        mesh.fill[c] = part
+        mesh.liquid[c] = wp.where(part > scalar(0.0), 1, 0)
+
+    return SimpleNamespace(clear=clear, lift=lift, sort=sort, order=order, fill=fill)
 
 
 @functools.cache
@@ -130,7 +178,7 @@ def gather_kernel(scalar, axial: bool, periodic: bool):
                     mesh.velocity[r] = walls.velocity[wp.max(mesh.solid[low], mesh.solid[c])][axis]
                 if kind == LIQUID:
                     width = wp.where(axis == 0, g.dx, g.dz)
-                    volume = scalar(0.5) * scalar(mesh.liquid[low] + mesh.liquid[c]) * f.face_area(g, i, axis) * width
+                    volume = scalar(0.5) * (mesh.fill[low] + mesh.fill[c]) * f.face_area(g, i, axis) * width
                     mesh.velocity[r] = brought(g, particles, mesh, i, k, axis, mesh.velocity[r])
             mesh.kind[r] = kind
             mesh.volume[r] = volume
@@ -255,6 +303,9 @@ def advect_kernel(scalar, axial: bool, periodic: bool):
         moving = vec(scalar(0.0), g.frame)
         there, _ = carry(g, velocity, good, x + scalar(0.5) * g.dt * (here - moving))
         after = x + g.dt * (there - moving)
+        if wp.static(not periodic):
+            aside, _ = carry(g, mesh.shift, good, x)
+            after += g.dt * aside
         if wp.static(periodic):
             length = scalar(g.nz) * g.dz
             after[1] = after[1] - length * wp.floor(after[1] / length)

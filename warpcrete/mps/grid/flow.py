@@ -30,10 +30,10 @@ from ...kernels.mps.conjugate_gradient import (
 )
 from ...kernels.mps.grid.cells import PRESSURE_NEIGHBOURS, VELOCITY_NEIGHBOURS
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernel, wall_kernel
-from ...kernels.mps.grid.pressure import drive_kernels, pressure_kernels
+from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.transfer import advect_kernel, bin_kernels, extend_kernel, gather_kernel
 from ...kernels.mps.motion import finish
-from ...kernels.mps.structs import LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
+from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
 from .state import GridState, grid_numbers
 
@@ -41,6 +41,7 @@ HISTORY = 256  # iterations whose residual is kept
 LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
 LAUNCH = 4  # largest graphs from one look at the flags to the next
 EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
+CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure"}
 
 
@@ -83,7 +84,6 @@ class GridFlow:
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._carried = [wp.zeros(2 * state.slots, dtype=self.scalar, device=self.device) for _ in range(2)]
         self._known = [wp.zeros(2 * state.slots, dtype=wp.int32, device=self.device) for _ in range(2)]
-        self.theory = scene.theory()
         self.time = 0.0
         self.steps = 0
         self._step: Step | None = None
@@ -141,14 +141,17 @@ class GridFlow:
 
     def _stages(self) -> list[Any]:
         slots, serial = self.state.slots, not self.parallel
-        kind = self.state.layout.axial, True
+        layout = self.state.layout
+        kind = layout.axial, layout.periodic
         bins = bin_kernels(self.scalar, *kind)
         pressure = pressure_kernels(self.scalar, serial, *kind)
         velocity, increment = self.mesh.velocity, self.mesh.increment
         return [
             self.stage(bins.clear, slots),
+            *([self.stage(bins.lift, slots)] if len(layout.opens) else []),
             self.stage(bins.sort, self.count),
-            self.stage(bins.wet, slots),
+            self.stage(bins.order, slots),
+            self.stage(bins.fill, slots),
             self.stage(gather_kernel(self.scalar, *kind), slots),
             self.stage(viscosity_kernel(self.scalar, *kind), slots),
             self.stage(wall_kernel(self.scalar, *kind), slots),
@@ -160,10 +163,10 @@ class GridFlow:
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(
                 self.projection, PRESSURE, increment, self.scene.tolerance,
-                LEAST_PRESSURE * self.scene.tolerance * self._force / self.scene.radius,
+                LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length,
             ),
             self.stage(pressure.project, slots),
-            *self._drive(),
+            *(self._drive() if layout.periodic else self._disperse()),
             *self._extend(extend_kernel(self.scalar, *kind)),
             self.stage(
                 advect_kernel(self.scalar, *kind), self.count, velocity=self._carried[0], good=self._known[0]
@@ -173,10 +176,20 @@ class GridFlow:
 
     @property
     def _force(self) -> float:
-        """Norm of the forces on all faces that change velocities by the piston's speed within a step."""
-        layout, scene = self.state.layout, self.scene
-        volume = layout.spacing * layout.step * (scene.radius if layout.axial else 1.0)
-        return scene.concrete.density / scene.time_step * volume * scene.velocity * math.sqrt(self.state.slots)
+        """Norm of the forces on all faces that change velocities by the usual speed within a step."""
+        scene = self.scene
+        return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
+
+    @property
+    def _volume(self) -> float:
+        """Of a cell, of a metre's depth or a radian."""
+        layout = self.state.layout
+        return layout.spacing * layout.step * (layout.length if layout.axial else 1.0)
+
+    @property
+    def _size(self) -> float:
+        """Norm of as many ones as there are particles' cells."""
+        return math.sqrt(max(self.count * self.state.layout.mark_spacing**2 / self.state.layout.spacing**2, 1.0))
 
     def _extend(self, kernel: Any) -> list[Stage]:
         """Velocities beyond the concrete, a cell further in each; they end in the first arrays."""
@@ -190,6 +203,17 @@ class GridFlow:
                 )
             )  # fmt: skip
         return found
+
+    def _disperse(self) -> list[Any]:
+        """Particles that crowd are moved apart, with the matrix of the pressure."""
+        kernels, slots = crowd_kernels(self.scalar, self.state.layout.axial), self.state.slots
+        tolerance, least = CROWDING
+        absolute = least * self.scene.concrete.density / self.scene.time_step**2 * self._volume * self._size
+        return [
+            self.stage(kernels.source, slots, projection=self.projection.arrays),
+            *self._solve(self.projection, DENSITY, self.mesh.potential, tolerance, absolute),
+            self.stage(kernels.disperse, slots),
+        ]
 
     def _drive(self) -> list[Stage]:
         """The force that holds the mean velocity."""

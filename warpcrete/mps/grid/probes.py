@@ -9,8 +9,12 @@ import numpy as np
 from ...kernels.mps.grid.cells import ACTED, FORCE, LIQUID
 from ..probes import Snapshot, section, window
 from ..scene import FluidScene
+from ..theory import velocity
 from .flow import GridFlow
-from .state import GridLayout
+from .layout import GridLayout
+
+FINE = 40
+"""Places in a cell over which theory's velocity is averaged."""
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
@@ -27,7 +31,8 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     along = state.faces("velocity")[1]
     volume = state.faces("volume")[1] * around
     kind = state.faces("kind")[1] == int(LIQUID)
-    momentum = state.mass * scene.velocity
+    mass = scene.concrete.density * area * layout.height
+    momentum = mass * scene.velocity
     if flow.steps:  # before, nothing lies on the grid
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     traction, slip = (
@@ -42,10 +47,10 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     change = 0.0
     if before is not None and flow.time > before["time"]:
         change = (momentum - before["momentum"]) / (flow.time - before["time"])
-    residual = force - state.mass * scene.gravity - stress * wet - change
+    residual = force - mass * scene.gravity - stress * wet - change
     radius, mean = profile(flow)
     weight = radius if layout.axial else np.ones_like(radius)
-    deviation = math.sqrt(float(np.sum(weight * (mean - state.theory_profile) ** 2) / np.sum(weight)))
+    deviation = math.sqrt(float(np.sum(weight * (mean - theory_profile(scene, layout)) ** 2) / np.sum(weight)))
     outcomes = flow.outcomes()
     within = [_within(layout, x, scene) for x in (layout.fluid, state.particles.position.numpy().astype(float))]
     return {
@@ -82,3 +87,13 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
     across = np.abs(layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing)
     order = np.argsort(across, kind="stable")
     return across[order], flow.state.faces("velocity")[1, row, 1:-1][order]
+
+
+def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
+    """Theory's velocity in the order of `profile`, over each cell's section as the grid's are [m/s]."""
+    nx = layout.cells[0]
+    across = np.abs(layout.left + (np.arange(nx * FINE) + 0.5) * layout.spacing / FINE).reshape(nx, FINE)
+    weight = across if layout.axial else np.ones_like(across)
+    exact = velocity(scene.concrete, scene.line, scene.theory(), across.ravel()).reshape(nx, FINE)
+    mean = (exact * weight).sum(1) / weight.sum(1)
+    return mean[np.argsort(across.mean(1), kind="stable")]

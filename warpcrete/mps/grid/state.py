@@ -1,10 +1,7 @@
-"""State of a flow on a grid: its particles, what lies on the grid, and where both start."""
+"""State of a flow on a grid: its particles, and what lies on the grid."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,66 +11,22 @@ from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import BIN, DRIVE, FORCE, INSIDE, cells_struct, grid_structs
-from ..scene import FluidScene
-from ..theory import steady, velocity
+from .layout import GridLayout
 
-ABREAST = 2
-"""Particles of a cell across it, and as many along it."""
-FINE = 40
-"""Places in a cell over which theory's velocity is averaged."""
-PIPE, AXIS = 1, 2
-"""Numbers of walls."""
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
-MESH_ARRAYS = ("velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
+MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
 """What the next step depends on."""
+ROWS = {"bin": int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2, "shift": 2}
+"""Entries for each slot of the grid, of arrays of the mesh that have more than one."""
 SLOT_BYTES = 4 * (int(BIN) + 90)
 """Of a cell with its faces, its rows of both systems and its particles, in single precision, at most."""
-
-
-@dataclass(frozen=True)
-class GridLayout:
-    """Places at the start."""
-
-    cells: tuple[int, int]
-    """Across and along."""
-    spacing: float
-    """Width of a cell [m]."""
-    step: float
-    """Height of a cell [m]."""
-    left: float
-    """Place of the left side: half a channel's width from the middle, or the axis [m]."""
-    height: float
-    """Of the stretch [m]."""
-    fluid: np.ndarray
-    """Particles, shape (n, 2), across from the middle or axis, and along [m]."""
-    mass: np.ndarray
-    """Of each over the mean, shape (n,)."""
-    axial: bool
-
-
-def cells_of(scene: FluidScene) -> tuple[int, int]:
-    """Cells across and along, of the width nearest to the wanted spacing that divides a channel, or a tube's radius."""
-    across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
-    nx = max(2, round(across / scene.spacing))
-    return nx, max(2, round(scene.length * nx / across))
-
-
-def grid_layout(scene: FluidScene) -> GridLayout:
-    """Cells from wall to wall, or from the axis to the wall, and particles evenly in them."""
-    axial = scene.dimensions == 3
-    nx, nz = cells_of(scene)
-    dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz
-    left = 0.0 if axial else -scene.radius
-    i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
-    fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
-    mass = fluid[:, 0] / fluid[:, 0].mean() if axial else np.ones(len(fluid))
-    return GridLayout((nx, nz), dx, dz, left, scene.length, fluid, mass, axial)
 
 
 class GridState:
     """Everything that changes in a flow on a grid.
 
-    Its arrays, with meaning, unit and shape, are those of the structs in `kernels/mps/grid/cells.py`.
+    `scene` has the concrete, gravity, time step and regularisation. Arrays, with meaning, unit and shape, are those of
+    the structs in `kernels/mps/grid/cells.py`.
     """
 
     flags: wp.array
@@ -87,46 +40,33 @@ class GridState:
     grains = None
     """Coarse aggregate: there is none on a grid."""
 
-    def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
-        self.scene, self.device, self.scalar = scene, device, scalar_of(precision)
-        nx, nz = cells_of(scene)
-        self.shape = nz + 2, nx + 2
+    def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
+        self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
+        self.shape, self.count = layout.shape, len(layout.fluid)
         self.slots = self.shape[0] * self.shape[1]
-        self._check_memory()
-        self.layout = grid_layout(scene)
-        self.count = len(self.layout.fluid)
         self.structs = grid_structs(self.scalar)
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
-        start = np.zeros_like(self.layout.fluid)
-        start[:, 1] = scene.velocity
+        start = np.zeros_like(layout.fluid)
+        start[:, 1] = layout.frame
         self.particles = self._filled(
-            self.structs.Particles, position=self.layout.fluid, velocity=start, mass=self.layout.mass,
-            gradient=self.count, pressure=self.count,
+            self.structs.Particles, position=layout.fluid, velocity=start, mass=layout.mass, gradient=self.count,
+            pressure=self.count,
         )  # fmt: skip
-        sizes = {"bin": int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2}
-        counts = {name: sizes.get(name, 1) * self.slots for name in self.structs.Mesh.vars}
         drive = np.zeros(DRIVE)
-        drive[int(FORCE)] = scene.concrete.density * scene.gravity
-        self.mesh = self._filled(
-            self.structs.Mesh,
-            **counts | {"solid": self._solid(), "kind": np.full(2 * self.slots, int(INSIDE)), "drive": drive},
-        )
-        concrete = scene.concrete
+        drive[int(FORCE)] = layout.drive
+        own = {
+            "solid": layout.solid.ravel(), "kind": np.full(2 * self.slots, int(INSIDE)), "drive": drive,
+            "opens": layout.opens.ravel(),
+        }  # fmt: skip
+        counts = {name: ROWS.get(name, 1) * self.slots for name in self.structs.Mesh.vars}
+        self.mesh = self._filled(self.structs.Mesh, **counts | own)
+        viscosity, yield_stress = layout.slip
         self.walls = self._filled(
             self.structs.Walls,
-            velocity=np.zeros((3, 2)),
-            slip_viscosity=np.array([-1.0, concrete.slip_viscosity, -1.0]),
-            slip_yield=np.array([0.0, concrete.slip_yield, 0.0]),
+            velocity=np.zeros((4, 2)),
+            slip_viscosity=np.array([-1.0, viscosity, -1.0, -1.0]),
+            slip_yield=np.array([0.0, yield_stress, 0.0, 0.0]),
         )
-
-    def _check_memory(self) -> None:
-        needed = self.slots * SLOT_BYTES * wp.types.type_size_in_bytes(self.scalar) / 4
-        free = memory_free(self.device)
-        if needed > MEMORY_FRACTION * free:
-            raise CapacityError(
-                f"cells = {self.slots}: need about {needed / 2**30:.3g} GiB on {self.device}, which has "
-                f"{free / 2**30:.3g} GiB free; take a coarser spacing, or a device with more memory"
-            )
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
         """A struct of arrays: of host data, or of zeros."""
@@ -137,39 +77,18 @@ class GridState:
             setattr(made, name, make(value, dtype=dtype, device=self.device))
         return made
 
-    def _solid(self) -> np.ndarray:
-        """Walls on both sides of a channel, or around a tube, whose axis is a smooth one."""
-        solid = np.zeros(self.shape, np.int32)
-        solid[:, 0] = AXIS if self.layout.axial else PIPE
-        solid[:, -1] = PIPE
-        return solid.ravel()
-
     @property
     def mark_spacing(self) -> float:
         """Distance of particles at the start [m]."""
-        return self.layout.spacing / ABREAST
-
-    @property
-    def mass(self) -> float:
-        """Of all concrete [kg], or [kg/m] in two dimensions."""
-        radius, length = self.scene.radius, self.layout.height
-        section = math.pi * radius**2 if self.layout.axial else 2 * radius
-        return self.scene.concrete.density * section * length
-
-    @cached_property
-    def theory_profile(self) -> np.ndarray:
-        """Theory's velocity by distance from the middle or axis, over each cell's section as the grid's are [m/s]."""
-        scene, layout = self.scene, self.layout
-        nx = layout.cells[0]
-        across = np.abs(layout.left + (np.arange(nx * FINE) + 0.5) * layout.spacing / FINE).reshape(nx, FINE)
-        weight = across if layout.axial else np.ones_like(across)
-        exact = velocity(scene.concrete, scene.line, scene.theory(), across.ravel()).reshape(nx, FINE)
-        mean = (exact * weight).sum(1) / weight.sum(1)
-        return mean[np.argsort(across.mean(1), kind="stable")]
+        return self.layout.mark_spacing
 
     def faces(self, name: str) -> np.ndarray:
         """An array of the mesh that has rows for u and w, shape (2, nz + 2, nx + 2), in double precision."""
         return getattr(self.mesh, name).numpy().astype(float).reshape(2, *self.shape)
+
+    def cells(self, name: str) -> np.ndarray:
+        """An array of the mesh that has a row for each cell, shape (nz, nx), in double precision."""
+        return getattr(self.mesh, name).numpy().astype(float).reshape(self.shape)[1:-1, 1:-1]
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on."""
@@ -186,10 +105,21 @@ class GridState:
         self.flags.assign(found["flags"])
 
 
+def check_memory(cells: tuple[int, int], device: Any, precision: str) -> None:
+    """Raise :class:`CapacityError` if a grid of so many cells will not fit."""
+    slots = (cells[0] + 2) * (cells[1] + 2)
+    needed = slots * SLOT_BYTES * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
+    free = memory_free(device)
+    if needed > MEMORY_FRACTION * free:
+        raise CapacityError(
+            f"cells = {slots}: need about {needed / 2**30:.3g} GiB on {device}, which has {free / 2**30:.3g} GiB "
+            "free; take a coarser spacing, or a device with more memory"
+        )
+
+
 def grid_numbers(state: GridState) -> Any:
     """Struct of a grid's numbers for the kernels."""
-    scene, layout = state.scene, state.layout
-    concrete = scene.concrete
+    scene, layout, concrete = state.scene, state.layout, state.scene.concrete
     g = cells_struct(state.scalar)()
     values = dict(
         nx=layout.cells[0],
@@ -198,22 +128,16 @@ def grid_numbers(state: GridState) -> Any:
         dx=layout.spacing,
         dz=layout.step,
         left=layout.left,
-        frame=scene.velocity,
+        frame=layout.frame,
         gravity=scene.gravity,
         dt=scene.time_step,
         density=concrete.density,
         viscosity=concrete.viscosity,
         yield_stress=concrete.yield_stress,
         regularisation=scene.regularisation,
-        resistance=_resistance(scene),
+        volume=layout.volume,
+        resistance=layout.resistance,
     )
     for name, value in values.items():
         setattr(g, name, value)
     return g
-
-
-def _resistance(scene: FluidScene) -> float:
-    """By how much the wall's force per volume grows with the mean velocity in the steady state [kg/m3/s]."""
-    little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
-    now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))
-    return (more.pressure - now.pressure) / (scene.length * little * scene.velocity)

@@ -1,0 +1,110 @@
+"""Slump and spread: a cone of concrete whose mould is lifted (EN 12350-2, EN 12350-8), as a flow on a grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated
+
+from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.parameters import Above, OneOf, Within, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.mps.column import ConcreteParameters
+from warpcrete.mps.free.scene import FreeScene, FreeSettings
+from warpcrete.mps.free.theory import cone_volume, long_heap_spread
+from warpcrete.mps.mixes import CONSTANTS, concrete_of
+
+PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
+"""Slumps that Xu, Li & Jiang 2021 measured of their concretes [m]."""
+TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
+"""Diameters and height of the mould of EN 12350-2 [m]."""
+SHELL, ABOVE = 3, 3
+"""Cells of which a mould is thick, and that lie above it."""
+VOLUME = 0.03
+"""Part of the volume that the surface may gain or lose."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlumpParameters(ConcreteParameters, FreeSettings):
+    """Mould and plate."""
+
+    top_diameter: Annotated[float, "of the mould [m]", Above()] = TOP
+    base_diameter: Annotated[float, "of the mould [m]", Above()] = BASE
+    mould_height: Annotated[float, "[m]", Above()] = HEIGHT
+    lift_time: Annotated[float, "in which the mould is lifted by its height [s]; 0: it is gone at once", Within(0)] = (
+        3.0
+    )
+    plate: Annotated[str, "sticks, or slips by the concrete's slip layer", OneOf(("sticks", "slips"))] = "sticks"
+    plate_radius: Annotated[float | None, "of the plate [m]; default: as the spread will need", Above()] = None
+    spacing: Annotated[float, "of the cells [m]", Above()] = 7.5e-3
+
+
+@scene_function(SlumpParameters)
+def scene(parameters: SlumpParameters) -> FreeScene:
+    """A cone of concrete on a plate, whose mould is lifted: slump, spread, T500.
+
+    The mould opens from below, as it is lifted, and nothing rubs on it; the concrete sticks to the plate. It flows
+    about the axis, as a Bingham fluid.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
+    top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
+    room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
+    outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
+    # Whole cells in the mould's height and foot.
+    rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
+    thick = SHELL * base / rings
+    gate = ((0.0, 0.0), (base + thick, 0.0), (top + thick, height), (0.0, height)) if given.lift_time else ()
+    standard = (given.top_diameter, given.base_diameter, given.mould_height) == (TOP, BASE, HEIGHT)
+    as_printed = given.concrete in PUBLISHED and all(getattr(given, name) is None for name in CONSTANTS)
+    return FreeScene(
+        name="slump",
+        test="slump",
+        concrete=concrete,
+        axial=True,
+        width=base / rings * math.ceil(room * rings / base),
+        height=height * (rows + ABOVE) / rows,
+        spacing=given.spacing,
+        outline=outline,
+        gate=gate,
+        lift_speed=height / given.lift_time if given.lift_time else 0.0,
+        plate_slips=given.plate == "slips",
+        published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
+        remarks=("the mould's friction is left out: it opens from below as it is lifted",) if gate else (),
+        parameters=asdict(given),
+        **{f.name: getattr(given, f.name) for f in fields(FreeSettings)},
+    )
+
+
+def _room(top: float, base: float, height: float, yield_stress: float, density: float, gravity: float) -> float:
+    """Radius of a plate that the concrete will not leave [m]: the long heap's, which is more than any, and a fifth."""
+    widest = 5 * base
+    if yield_stress > 0:
+        widest = 0.6 * long_heap_spread(cone_volume(top, base, height), yield_stress, density, gravity)
+    return max(min(widest, 5 * base), 1.5 * base)
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a slump: name -> (passed, what was found)."""
+    result = run.result
+    if "slump" not in result:
+        return {"finished": (False, "there is no sample besides that at the start")}
+    volume, speed = result["volume_error"], number(result["rest_speed"])
+    return {
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
+        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+    }
+
+
+def _knobs(given: SlumpParameters) -> Iterator[Knob]:
+    yield scaled("spacing", "spacing", given.spacing, (1.6, 1.0, 0.5), -3.0, "m")
+    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
+    yield precisions()
+
+
+trading = Trading(_knobs, quantities=("slump", "spread"))

@@ -1,0 +1,1 @@
+"""Concrete with a free surface: standard tests as flows on a grid."""

@@ -1,0 +1,85 @@
+"""What a flow with a free surface will take: a coarser one tells how long it flows, the first steps what they cost."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InstabilityError
+from ...core.footprint import footprint
+from ...core.forecast import Forecast, Probe, median_time, timed
+from .scene import FreeScene
+from .simulation import FreeSimulation
+
+COARSE = 12
+"""Cells over the concrete's height at the start, of the coarser flow."""
+SPENT, TAKEN = 1.0, 10  # wall time for which steps are timed [s], steps at once
+
+
+def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings."""
+
+    def begun() -> FreeSimulation:
+        simulation = FreeSimulation(scene, device=str(device), precision=precision)
+        simulation.prepare()
+        return simulation
+
+    loading = begun()  # kernels are loaded now, and no part of a time any more
+    loading.flow.take(TAKEN)
+    loading.release()
+    duration, remarks = _duration(scene, str(device), precision)
+    simulation, placing = timed(begun, device)
+    flow = simulation.flow
+    flow.take(TAKEN)
+    times: list[float] = []
+    while sum(times) < SPENT:
+        times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
+    step = float(np.median(times)) / TAKEN
+    sample = median_time(simulation.measure, flow.device)
+    steps = max(1.0, duration / scene.time_step)
+    found = Forecast(
+        method="moving particles",
+        device="",
+        counts=flow.counts,
+        features={
+            "dimensions": "about the axis" if scene.axial else "in a plane",
+            "surface": "free",
+            "gate": f"lifted at {scene.lift_speed:g} m/s" if scene.gate else "left out",
+            "walls": "slip layer" if scene.plate_slips else "concrete sticks",
+            "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            "precision": simulation.precision,
+        },
+        memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
+        time_step=scene.time_step,
+        limits={},
+        governing="choice: solves are implicit, so that viscosity and pressure set no limit",
+        steps=steps,
+        parts={
+            "placing": placing,
+            "steps": steps * step,
+            "samples": math.ceil(duration / scene.sample_interval) * sample,
+        },
+        frame=probe(simulation),
+        duration=duration,
+        remarks=(*scene.remarks, *remarks),
+    )
+    simulation.release()
+    return found
+
+
+def _duration(scene: FreeScene, device: str, precision: str) -> tuple[float, list[str]]:
+    """Simulated time until the concrete rests [s], and remarks."""
+    height = max(y for _, y in scene.outline)
+    spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(np.array(scene.outline), axis=0)) / 4)
+    simulation = FreeSimulation(replace(scene, spacing=spacing), device=device, precision=precision)
+    try:
+        run = simulation.run()
+    except InstabilityError as error:
+        return scene.duration, [f"a coarser copy of this flow stops: {error}"]
+    finally:
+        simulation.release()
+    reached = float(run.result["simulated_time"]["value"])
+    return reached, [] if run.result["at_rest"] else [f"not at rest within {reached:g} s"]

@@ -1,0 +1,21 @@
+"""Flows with a free surface, as the rest of the program sees them."""
+
+from ...core.method import Method, run_in_turn
+from .display import FreeDisplay
+from .forecast import forecast
+from .pictures import draw, plot_free
+from .quantities import QUANTITIES, report
+from .simulation import FreeSimulation
+
+METHOD = Method(
+    name="mps",
+    simulation=FreeSimulation,
+    quantities=QUANTITIES,
+    display=FreeDisplay,
+    picture="flow.png",
+    draw=draw,
+    show=plot_free,
+    report=report,
+    forecast=forecast,
+    run_many=run_in_turn,
+)

@@ -1,0 +1,71 @@
+"""What is measured of concrete with a free surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...kernels.mps.grid.cells import LIQUID
+from ..grid.flow import GridFlow
+
+HALF = 0.5
+"""Of a face's volume in the concrete, for its velocity to count."""
+UNITS = {
+    "time": "s",
+    "top": "m",
+    "spread": "m",
+    "middle_height": "m",
+    "end_height": "m",
+    "fastest": "m/s",
+    "mean_speed": "m/s",
+    "volume_error": "1",
+    "viscosity_iterations": "1",
+    "pressure_iterations": "1",
+}
+"""Of the columns of a row."""
+
+
+def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
+    """Height of the concrete over each column of cells [m], and the columns' middles [m]."""
+    layout = flow.state.layout
+    across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
+    return across, flow.state.cells("fill").sum(0) * layout.step
+
+
+def reach(flow: GridFlow) -> float:
+    """How far the concrete has come from the axis or the left side, wherever it is widest [m]."""
+    layout, fill = flow.state.layout, flow.state.cells("fill")
+    if not layout.axial:
+        return float((fill.sum(1) * layout.spacing).max())
+    radius = (np.arange(layout.cells[0]) + 0.5) * layout.spacing
+    return float(np.sqrt(2 * (fill * radius).sum(1) * layout.spacing).max())
+
+
+def measured(flow: GridFlow, volume: float) -> dict[str, float]:
+    """A row of the series; `volume` is that of the concrete, of a metre's depth or a radian."""
+    state, layout = flow.state, flow.state.layout
+    if not flow.steps:
+        top = float(layout.fluid[:, 1].max()) + 0.5 * layout.mark_spacing
+        far = float(layout.fluid[:, 0].max()) + 0.5 * layout.mark_spacing
+        return dict.fromkeys(UNITS, 0.0) | {"top": top, "spread": 2 * far if layout.axial else far}
+    across, height = surface(flow)
+    weight = across if layout.axial else np.ones_like(across)
+    found = float((state.cells("fill") * weight).sum()) * layout.spacing * layout.step
+    # A little concrete in a face of air falls, and says nothing of the heap.
+    whole = layout.spacing * layout.step * np.abs(layout.left + np.arange(-1, layout.cells[0] + 1) * layout.spacing)
+    whole = np.maximum(whole, 1e-30) if layout.axial else np.full(layout.cells[0] + 2, layout.spacing * layout.step)
+    inside = (state.faces("kind") == int(LIQUID)) & (state.faces("volume") > HALF * whole)
+    speed = np.abs(state.faces("velocity"))[inside]
+    outcomes = flow.outcomes()
+    far = reach(flow)
+    return {
+        "time": flow.time,
+        "top": float(height.max()),
+        "spread": 2 * far if layout.axial else far,
+        "middle_height": float(height[0]),
+        "end_height": float(height[-1]),
+        "fastest": float(speed.max()) if len(speed) else 0.0,
+        "mean_speed": float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0,
+        "volume_error": found / volume - 1,
+        "viscosity_iterations": outcomes["viscosity"]["iterations"],
+        "pressure_iterations": outcomes["pressure"]["iterations"],
+    }

@@ -1,0 +1,97 @@
+"""Scenes with a free surface: concrete that a gate holds back, or nothing, in a vessel of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+from ...core.device import PRECISIONS
+from ...core.errors import between, one_of, positive, refuse
+from ...core.parameters import Above, Declared, OneOf, Within
+from ..theory import Concrete
+
+TESTS = ("slump", "none")
+Points = tuple[tuple[float, float], ...]
+"""Corners of a polygon across (radius, or width) and up [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeSettings(Declared):
+    """How a flow with a free surface is computed."""
+
+    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 20.0
+    rest_speed: Annotated[float, "at rest: the fastest goes slower than this, and did a second ago [m/s]", Above()] = (
+        1e-3
+    )
+    time_step: Annotated[float, "[s]", Above()] = 2e-3
+    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
+    regularisation: Annotated[
+        float,
+        "beta of the regularised Bingham law [s]: what is below the yield stress creeps by one over this",
+        Above(),
+    ] = 1e4
+    tolerance: Annotated[float, "of the pressure solve: residual over that at its start", Within(1e-12, 0.5)] = 1e-3
+    maximum_iterations: Annotated[int, "of a solve, before the run ends with an error", Within(1)] = 5000
+    precision: Annotated[str, "float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "nothing is random", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FreeScene(FreeSettings):
+    """Concrete in a vessel, about an axis or in a plane; SI units."""
+
+    name: str
+    test: str
+    """Whose outcome is measured: a cone's slump and spread, or none."""
+    concrete: Concrete
+    axial: bool
+    """About an axis at x = 0; else in a plane, by the metre of depth."""
+    width: float
+    """Of the room [m]."""
+    height: float
+    """[m]"""
+    spacing: float
+    """Of the cells [m]; the nearest is taken that divides the width."""
+    outline: Points
+    """Of the concrete at the start."""
+    blocks: tuple[Points, ...] = ()
+    """Of walls."""
+    gate: Points = ()
+    """Of what is lifted; none: nothing holds the concrete back."""
+    lift_speed: float = 0.0
+    """[m/s]"""
+    plate_slips: bool = False
+    """On walls and plate the concrete's slip layer acts; else it sticks."""
+    published: Mapping[str, float] = field(default_factory=dict)
+    """Quantities of the result that somebody printed, in SI units."""
+    remarks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments that make this scene again through its scene function; empty if it has none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("test", self.test, TESTS)
+        for name in ("width", "height", "spacing"):
+            positive(name, getattr(self, name), "m")
+        between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
+        if self.gate and not self.lift_speed:
+            refuse("lift_speed", self.lift_speed, "never lifts the gate", "take some 0.1 m/s, or no gate")
+        smallest = min(np.ptp(self.outline, axis=0))
+        if self.spacing > smallest / 4:
+            refuse("spacing", self.spacing, "must leave four cells across the concrete at the start",
+                   f"take {smallest / 4:.3g} m or less")  # fmt: skip
+        between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
+        fall = float(np.sqrt(2 * self.gravity * np.max(np.array(self.outline)[:, 1])))
+        if self.time_step * fall > self.spacing:
+            refuse("time_step", self.time_step, f"lets concrete that falls at {fall:.3g} m/s pass more than a cell",
+                   f"take {self.spacing / fall:.2g} s or less")  # fmt: skip
+
+    def __repr__(self) -> str:
+        return (
+            f"<FreeScene {self.name!r}: {self.concrete.name}, {'about an axis' if self.axial else 'in a plane'}, "
+            f"{self.width:g} m wide, spacing {self.spacing:g} m>"
+        )

@@ -1,0 +1,163 @@
+"""Concrete with a free surface, from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+
+from __future__ import annotations
+
+import math
+import time as wall_clock
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InstabilityError
+from ...core.footprint import footprint
+from ...core.method import results_of
+from ...core.provenance import arrays_hash, provenance
+from ...core.run_loop import Run, Simulation
+from ...core.units import quantity
+from ..grid.flow import GridFlow
+from ..grid.state import GridState, check_memory
+from .display import FreeDisplay
+from .layout import free_cells, free_layout
+from .probes import UNITS, measured, reach, surface
+from .quantities import QUANTITIES, Known
+from .scene import FreeScene
+
+RESTED = 1.0
+"""Simulated time over which concrete must be slow to be at rest [s]."""
+
+
+class FreeSimulation(Simulation):
+    """A flow with a free surface; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = FreeScene
+    scene: FreeScene
+
+    def set_up(self) -> None:
+        """Nothing: particles take memory."""
+        self._rows: list[dict[str, float]] = []
+        self.rests = False
+
+    @property
+    def prepared(self) -> bool:
+        """The particles are there."""
+        return hasattr(self, "flow")
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far."""
+        return self._rows
+
+    @property
+    def state(self) -> GridState:
+        """The particles and the grid."""
+        return self.flow.state
+
+    def unit(self, column: str) -> str:
+        """Unit of a column of the series."""
+        return UNITS[column]
+
+    def display(self, colouring: str) -> FreeDisplay:
+        """What recorders draw."""
+        return FreeDisplay(self, colouring)
+
+    def prepare(self) -> None:
+        """Place the particles."""
+        started = wall_clock.perf_counter()
+        self.tell("packing", 0.0)
+        check_memory(free_cells(self.scene), self.device, self.precision)
+        layout = free_layout(self.scene)
+        self.flow = self.stepper = GridFlow(GridState(self.scene, layout, self.device, self.precision))
+        self.volume = float(np.sum(layout.mass)) * layout.volume
+        """Of the concrete, of a metre's depth or a radian."""
+        self.tell("packing", 1.0)
+        self._spent["packing"] = wall_clock.perf_counter() - started
+
+    def state_dict(self) -> dict[str, Any]:
+        """Particles, grid, and the rows so far."""
+        return {
+            "flow": self.flow.state_dict(),
+            "columns": list(UNITS),
+            "rows": np.array([[row[name] for name in UNITS] for row in self._rows]),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`, in place of `prepare`."""
+        spent = dict(self._spent)
+        self.prepare()
+        self._spent = spent
+        self.flow.load_state_dict(state["flow"])
+        self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
+
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+        for name in ("flow", "stepper"):  # a run may have failed before it had them
+            self.__dict__.pop(name, None)
+
+    def measure(self) -> dict[str, float]:
+        """Measure, and append the row to `rows`."""
+        row = measured(self.flow, self.volume)
+        self._rows.append(row)
+        return row
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        at = f"t = {row['time']:.6g} s"
+        for name, value in row.items():
+            if not math.isfinite(value):
+                raise InstabilityError(f"{at}: {name} is not a finite number; take a smaller time step")
+        room = self.scene.width - 2 * self.flow.state.layout.spacing
+        if self.scene.test == "slump" and self.flow.steps and reach(self.flow) > room:
+            raise InstabilityError(
+                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; take a "
+                "larger one (plate_radius)"
+            )
+
+    @property
+    def lifted(self) -> float:
+        """When nothing holds the concrete back any more [s]."""
+        scene = self.scene
+        return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
+
+    def ended_early(self) -> bool:
+        """The concrete rests."""
+        now = self._rows[-1]["time"]
+        if now < self.lifted + RESTED + 0.2:
+            return False
+        late = [row["fastest"] for row in self._rows if row["time"] > now - RESTED - 1e-9]
+        self.rests = max(late) < self.scene.rest_speed
+        return self.rests
+
+    def result(self, finished: bool) -> Run:
+        """The run as it is now, with its quantities."""
+        scene, flow, rows = self.scene, self.flow, self._rows
+        series = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
+        running = self._spent.get("running", 0.0)
+        layout = flow.state.layout
+        result: dict[str, Any] = {
+            "scene": scene.name,
+            "method": "mps",
+            "finished": finished,
+            "at_rest": self.rests,
+            "simulated_time": quantity(flow.time, "s"),
+            "steps": flow.steps,
+            "particles": flow.count,
+            "cells": layout.cells[0] * layout.cells[1],
+            "spacing": quantity(layout.spacing, "m"),
+            "volume": quantity(self.volume * (2 * math.pi if scene.axial else 1.0), "m3" if scene.axial else "m2"),
+        }
+        if len(rows) > 1:
+            result |= results_of(QUANTITIES, Known(scene, series, self.volume))
+            across, height = surface(flow)
+            result["surface"] = {
+                "place": {"value": across.tolist(), "unit": "m"}, "height": {"value": height.tolist(), "unit": "m"},
+            }  # fmt: skip
+        result["speed"] = {
+            "wall_time": quantity(running, "s"),
+            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
+            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
+            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
+            "memory": quantity(footprint(flow=flow)["flow"], "B"),
+        }
+        result["state_hash"] = arrays_hash(flow.state_arrays())
+        result["provenance"] = provenance(self.device, self.precision, scene.seed)
+        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
