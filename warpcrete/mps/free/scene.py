@@ -22,9 +22,9 @@ Points = tuple[tuple[float, float], ...]
 class FreeSettings(Declared):
     """How a flow with a free surface is computed."""
 
-    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 20.0
+    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 60.0
     rest_speed: Annotated[float, "at rest: the fastest goes slower than this, and did a second ago [m/s]", Above()] = (
-        1e-3
+        2e-4
     )
     time_step: Annotated[float, "[s]", Above()] = 2e-3
     gravity: Annotated[float, "[m/s2]", Above()] = 9.81
