@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from warpcrete import InstabilityError, scenes
+from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device import default_threads, find_device
 from warpcrete.mps import theory
 from warpcrete.mps.simulation import FluidSimulation
@@ -30,6 +30,12 @@ def channel(job: tuple[dict, str | None]) -> tuple[dict, dict]:
     parameters, device = job
     run = FluidSimulation(scenes.channel(**parameters), device=device, threads=1).run()
     return run.series, run.result
+
+
+def slump(job: tuple[dict, str | None]) -> dict:
+    """Result of a slump, on one thread of a CPU."""
+    parameters, device = job
+    return Simulation(scenes.slump(**parameters), device=device, threads=1).run().result
 
 
 class Studies:
@@ -387,6 +393,35 @@ class Studies:
                 "profile rms [%]"]  # fmt: skip
         self.write("shear", head, rows, "5 mm; a column until steady, a periodic pipe for ten diameters of travel.")
 
+    def slump(self) -> None:
+        """Slump and spread over the yield stress, three spacings, beside closed forms."""
+        cases = [(tau, h) for tau in (1000.0, 200.0, 50.0, 20.0) for h in (5e-3, 7.5e-3, 10e-3)]
+        cases.remove((20.0, 5e-3))  # a plate of 0.9 m for a minute
+        jobs = [
+            {"concrete": "own", "density": 2300.0, "viscosity": 30.0, "yield_stress": tau, "slip_viscosity": 900.0,
+             "slip_yield": 100.0, "spacing": h} for tau, h in cases
+        ]  # fmt: skip
+        rows = []
+        for job, r in zip(jobs, self.run_slumps(jobs)):
+            t500 = f"{r['t500']['value']:.2f}" if "t500" in r else "-"
+            rows.append(
+                [f"{job['yield_stress']:g}", f"{1e3 * job['spacing']:g}", f"{1e3 * r['slump']['value']:.0f}",
+                 f"{1e3 * r['slump_theory']['value']:.0f}", f"{1e3 * r['spread']['value']:.0f}",
+                 f"{1e3 * r['spread_theory']['value']:.0f}", t500, f"{100 * r['volume_error']:+.1f}",
+                 f"{r['simulated_time']['value']:.1f}", f"{1e3 * r['rest_speed']['value']:.2f}",
+                 f"{r['speed']['wall_time']['value']:.0f}"]
+            )  # fmt: skip
+        head = ["yield stress [Pa]", "cells [mm]", "slump [mm]", "tall cone", "spread [mm]", "long heap", "T500 [s]",
+                "volume, at most [%]", "ends after [s]", "fastest then [mm/s]", "wall time [s]"]  # fmt: skip
+        self.write("slump", head, rows, "30 Pa s, 2300 kg/m3, mould lifted in 3 s.")
+
+    def run_slumps(self, jobs: list[dict]) -> list[dict]:
+        """Results of slumps: on a CPU in processes, one a core."""
+        if self.on_gpu:
+            return [slump((job, self.device)) for job in jobs]
+        with ProcessPoolExecutor(default_threads(), mp_context=multiprocessing.get_context("spawn")) as pool:
+            return list(pool.map(slump, [(job, self.device) for job in jobs]))
+
 
 def _scattered(values, digits: int = 2) -> str:
     """Mean, and standard deviation if there are several."""
@@ -409,7 +444,7 @@ def _falls(result: dict) -> tuple[float, float]:
 def main() -> None:
     """Run the studies asked for."""
     names = ["resolution", "thickness", "flow", "shear", "fields", "rigidity", "migration", "tube", "paper_scheme"]
-    names.append("long")
+    names += ["slump", "long"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device")
     parser.add_argument("--out", type=Path, required=True)

@@ -40,6 +40,7 @@ from .state import GridState, grid_numbers
 HISTORY = 256  # iterations whose residual is kept
 LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
 LAUNCH = 4  # largest graphs from one look at the flags to the next
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # of what flows through a cell's sides
 EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
 CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure"}
@@ -163,7 +164,7 @@ class GridFlow:
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(
                 self.projection, PRESSURE, increment, self.scene.tolerance,
-                LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length,
+                max(LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length, self._rounding),
             ),
             self.stage(pressure.project, slots),
             *(self._drive() if layout.periodic else self._disperse()),
@@ -179,6 +180,12 @@ class GridFlow:
         """Norm of the forces on all faces that change velocities by the usual speed within a step."""
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
+
+    @property
+    def _rounding(self) -> float:
+        """Norm of what rounding leaves of the divergence, below which no solve comes."""
+        part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
+        return part * self._force / min(self.state.layout.spacing, self.state.layout.step)
 
     @property
     def _volume(self) -> float:
