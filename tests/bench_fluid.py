@@ -2,6 +2,7 @@
 
     python tests/bench_fluid.py --device cpu --spacings 20 10 5 2.5 2
     python tests/bench_fluid.py --device cuda --scene tube --spacings 10 5 2.5
+    python tests/bench_fluid.py --device cpu --ends periodic --spacings 5 2.5        on a grid
     python tests/bench_fluid.py --device cpu --solvers
 
 Prints tables: particles, time of a step (best and median of repeats of `--steps` steps after the start has died down),
@@ -19,15 +20,21 @@ import warp as wp
 from warpcrete import scenes
 from warpcrete.core.device import find_device
 from warpcrete.kernels.mps.structs import PRESSURE
+from warpcrete.mps import probes
+from warpcrete.mps.grid import probes as grid_probes
+from warpcrete.mps.grid.flow import GridFlow
+from warpcrete.mps.grid.layout import pipe_layout
+from warpcrete.mps.grid.state import GridState
 from warpcrete.mps.particles import MovingParticles
-from warpcrete.mps.probes import measured
 from warpcrete.mps.stages import step_parts
 from warpcrete.mps.state import FluidState
 
 
-def flow_of(args, spacing: float, threads: int | None) -> MovingParticles:
+def flow_of(args, spacing: float, threads: int | None) -> MovingParticles | GridFlow:
     """Particles of the scene at a spacing [mm], at the start."""
-    scene = getattr(scenes, args.scene)(spacing=spacing * 1e-3, aggregates=args.aggregates)
+    scene = getattr(scenes, args.scene)(spacing=spacing * 1e-3, aggregates=args.aggregates, ends=args.ends)
+    if args.ends == "periodic":
+        return GridFlow(GridState(scene, pipe_layout(scene), find_device(args.device), args.precision))
     return MovingParticles(FluidState(scene, find_device(args.device), args.precision), threads=threads)
 
 
@@ -49,9 +56,9 @@ def resolutions(args) -> None:
                 times.append((time.perf_counter() - start) / args.steps)
                 found = flow.outcomes()
                 iterations.append([found[k]["iterations"] for k in ("viscosity", "pressure")])
-            row = measured(flow)
+            row = (grid_probes if args.ends == "periodic" else probes).measured(flow)
             velocity, pressure = np.mean(iterations, axis=0)
-            theory = flow.theory
+            theory = flow.scene.theory()
             off = [
                 100 * (row["pressure"] / theory.pressure - 1),
                 100 * (row["slip_velocity"] - theory.slip_velocity) / flow.scene.velocity,
@@ -177,6 +184,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1])
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--ends", choices=("piston", "periodic"), default="piston")
     parser.add_argument("--aggregates", action="store_true")
     parser.add_argument("--solvers", action="store_true")
     args = parser.parse_args()

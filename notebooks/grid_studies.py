@@ -1,0 +1,121 @@
+"""What flows on a grid are checked by, as tables and a figure.
+
+    python notebooks/grid_studies.py --device cpu --out studies
+
+Writes `NAME.md`, and `NAME.png` for some, for each study into the new folder; notebooks/fluid.md shows and discusses
+them.
+"""
+
+import argparse
+import multiprocessing
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from fluid_studies import Studies
+from matplotlib.figure import Figure
+
+from warpcrete import InstabilityError, Simulation, scenes
+from warpcrete.core.device import default_threads
+
+
+def slump(job: tuple[dict, str | None]) -> dict:
+    """Result of a slump, on one thread of a CPU."""
+    parameters, device = job
+    return Simulation(scenes.slump(**parameters), device=device, threads=1).run().result
+
+
+class GridStudies(Studies):
+    """Shear without end, and slumps."""
+
+    def shear(self) -> None:
+        """Any share of slip, any Bingham number: a column of particles on a piston, and a periodic pipe on a grid."""
+        base = {"concrete": "own", "density": 2400.0, "viscosity": 20.0, "yield_stress": 0.0, "slip_viscosity": 1e6,
+                "slip_yield": 0.0, "gravity": 0.0}  # fmt: skip
+        speed = scenes.channel().velocity
+        layers = [{"slip_viscosity": eta} for eta in (1e6, 2e4, 4e3, 1e3, 300.0, 100.0, 20.0)]
+        plugs = [{"yield_stress": n * 20 * speed / 0.05} for n in (0.1, 1.0, 10.0, 100.0)]
+        figure, rows = Figure(figsize=(9, 3.8), layout="constrained"), []
+        for axes, name in zip(figure.subplots(1, 2, sharey=True), ("channel", "tube")):
+            found: dict[str, list[tuple[float, float]]] = {"piston": [], "periodic": []}
+            stopped = []
+            for given in [*layers, *plugs]:
+                scene = getattr(scenes, name)(**base | given, spacing=5e-3)
+                share = scene.theory().slip_velocity / scene.velocity
+                bingham = scene.concrete.yield_stress * scene.radius / scene.concrete.viscosity / scene.velocity
+                cells = [name, f"{share:.3f}", f"{bingham:.3g}"]
+                for ends, length, duration in (("piston", 0.3, None), ("periodic", 0.06, 1.0 / speed)):
+                    scene = getattr(scenes, name)(
+                        **base | given, spacing=5e-3, ends=ends, length=length, duration=duration, sample_interval=0.02
+                    )
+                    try:
+                        r = self.run(scene).result
+                    except InstabilityError as error:
+                        stopped.append(share)
+                        cells += [str(error).split(":")[0].replace("t = ", "stops at "), ""]
+                        continue
+                    wall, profile = 100 * r["wall_stress_error"], 100 * r["profile_error"]
+                    cells += [f"{wall:+.2f}", f"{profile:.2f}"]
+                    if given in layers:
+                        found[ends].append((share, abs(wall)))
+                rows.append(cells)
+            for ends, word in (("piston", "column of particles, until steady"), ("periodic", "grid, ten diameters")):
+                axes.semilogy(*np.transpose(found[ends]), "o-", markersize=4, linewidth=1, label=word)
+            axes.plot(stopped, np.full(len(stopped), 30.0), "x", color="C0", label="column stops with an error")
+            axes.set(xlabel="share of slip in the flow", title=name, ylim=(1e-4, 100.0))
+        figure.axes[0].set_ylabel("error of the wall's stress [%]")
+        figure.axes[1].legend(frameon=False, fontsize=8)
+        self.save("shear", figure)
+        head = ["", "slip", "Bingham no.", "piston: wall off [%]", "profile rms [%]", "periodic: wall off [%]",
+                "profile rms [%]"]  # fmt: skip
+        self.write("shear", head, rows, "5 mm; a column until steady, a periodic pipe for ten diameters of travel.")
+
+    def slump(self) -> None:
+        """Slump and spread over the yield stress, three spacings, beside closed forms."""
+        cases = [(tau, h) for tau in (1000.0, 200.0, 50.0, 20.0) for h in (5e-3, 7.5e-3, 10e-3)]
+        cases.remove((20.0, 5e-3))  # a plate of 0.9 m for a minute
+        jobs = [
+            {"concrete": "own", "density": 2300.0, "viscosity": 30.0, "yield_stress": tau, "slip_viscosity": 900.0,
+             "slip_yield": 100.0, "spacing": h} for tau, h in cases
+        ]  # fmt: skip
+        rows = []
+        for job, r in zip(jobs, self.run_slumps(jobs)):
+            t500 = f"{r['t500']['value']:.2f}" if "t500" in r else "-"
+            rows.append(
+                [f"{job['yield_stress']:g}", f"{1e3 * job['spacing']:g}", f"{1e3 * r['slump']['value']:.0f}",
+                 f"{1e3 * r['slump_theory']['value']:.0f}", f"{1e3 * r['spread']['value']:.0f}",
+                 f"{1e3 * r['spread_theory']['value']:.0f}", t500, f"{100 * r['volume_error']:+.1f}",
+                 f"{r['simulated_time']['value']:.1f}", f"{1e3 * r['rest_speed']['value']:.2f}",
+                 f"{r['speed']['wall_time']['value']:.0f}"]
+            )  # fmt: skip
+        head = ["yield stress [Pa]", "cells [mm]", "slump [mm]", "tall cone", "spread [mm]", "long heap", "T500 [s]",
+                "volume, at most [%]", "ends after [s]", "fastest then [mm/s]", "wall time [s]"]  # fmt: skip
+        self.write("slump", head, rows, "30 Pa s, 2300 kg/m3, mould lifted in 3 s.")
+
+    def run_slumps(self, jobs: list[dict]) -> list[dict]:
+        """Results of slumps: on a CPU in processes, one a core."""
+        if self.on_gpu:
+            return [slump((job, self.device)) for job in jobs]
+        with ProcessPoolExecutor(default_threads(), mp_context=multiprocessing.get_context("spawn")) as pool:
+            return list(pool.map(slump, [(job, self.device) for job in jobs]))
+
+
+def main() -> None:
+    """Run the studies asked for."""
+    names = ["shear", "slump"]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", nargs="+", choices=names, default=names)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    studies = GridStudies(args.device, args.out, 0.0, 0.0, 0)
+    for name in args.only:
+        start = time.perf_counter()
+        getattr(studies, name)()
+        print(f"({name}: {time.perf_counter() - start:.0f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()
