@@ -180,7 +180,13 @@ def grid_functions(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         u0, u1, w0, w1 = below, here, left + g.slots, here + g.slots
         if known(mesh.kind[u0]) and known(mesh.kind[u1]) and known(mesh.kind[w0]) and known(mesh.kind[w1]):
             rate = (mesh.velocity[u1] - mesh.velocity[u0]) / g.dz + (mesh.velocity[w1] - mesh.velocity[w0]) / g.dx
-            wet = mesh.fill[here] + mesh.fill[left] + mesh.fill[below] + mesh.fill[at(g, i - 1, k - 1)]
+            across = at(g, i - 1, k - 1)
+            wet = mesh.fill[here] + mesh.fill[left] + mesh.fill[below] + mesh.fill[across]
+            if wp.static(not periodic):
+                # The stairs of a gate are smooth, as what they stand for is.
+                shut = mesh.solid[here] == GATE or mesh.solid[left] == GATE
+                if shut or mesh.solid[below] == GATE or mesh.solid[across] == GATE:
+                    wet = scalar(0.0)
             volume = scalar(0.25) * wet * side_weight(g, i) * g.dx * g.dz
         return rate, volume
 

@@ -106,11 +106,12 @@ def crowd_kernels(scalar, axial: bool) -> SimpleNamespace:
             excess = mesh.crowd[c] - scalar(1.0)
             if excess < scalar(0.0):
                 # Less than full may be the surface's right.
-                for a in range(-1, 2):
-                    for b in range(-1, 2):
-                        o = f.at(g, i + a, k + b)
-                        if mesh.solid[o] == OPEN and mesh.fill[o] < scalar(1.0):
-                            excess = scalar(0.0)
+                for n in range(5):
+                    a = wp.where(n == 1, 1, 0) - wp.where(n == 2, 1, 0)
+                    b = wp.where(n == 3, 1, 0) - wp.where(n == 4, 1, 0)
+                    o = f.at(g, i + a, k + b)
+                    if mesh.solid[o] == OPEN and mesh.fill[o] < scalar(1.0):
+                        excess = scalar(0.0)
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
             excess *= scalar(CORRECTED) * f.cell_volume(g, i) / g.dt
         projection.residual[c] = g.density / g.dt * excess

@@ -279,13 +279,13 @@ def advect_kernel(scalar, axial: bool, periodic: bool):
                     whole_slope += change
         if whole > scalar(0.0):
             value = value / whole
-        return value, slope - value * whole_slope
+        return value, slope - value * whole_slope, whole
 
     @wp.func
     def carry(g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        u, du = sample(g, velocity, good, x, 0)
-        w, dw = sample(g, velocity, good, x, 1)
-        return vec(u, w), mat(du[0], du[1], dw[0], dw[1])
+        u, du, _across = sample(g, velocity, good, x, 0)
+        w, dw, whole = sample(g, velocity, good, x, 1)
+        return vec(u, w), mat(du[0], du[1], dw[0], dw[1]), whole
 
     @wp.kernel(enable_backward=False, module="unique")
     def advect(
@@ -296,15 +296,21 @@ def advect_kernel(scalar, axial: bool, periodic: bool):
             return
         p = wp.tid()
         x = particles.position[p]
-        here, slope = carry(g, velocity, good, x)
+        here, slope, whole = carry(g, velocity, good, x)
+        if wp.static(not periodic):
+            if whole == scalar(0.0):  # alone in the air
+                here = particles.velocity[p] - vec(scalar(0.0), g.gravity * g.dt)
         particles.velocity[p] = here
         particles.gradient[p] = slope
         particles.pressure[p] = mesh.pressure[f.cell_of(g, x)]
         moving = vec(scalar(0.0), g.frame)
-        there, _ = carry(g, velocity, good, x + scalar(0.5) * g.dt * (here - moving))
+        there, _slope, ahead = carry(g, velocity, good, x + scalar(0.5) * g.dt * (here - moving))
+        if wp.static(not periodic):
+            if ahead == scalar(0.0):
+                there = here
         after = x + g.dt * (there - moving)
         if wp.static(not periodic):
-            aside, _ = carry(g, mesh.shift, good, x)
+            aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += g.dt * aside
         if wp.static(periodic):
             length = scalar(g.nz) * g.dz

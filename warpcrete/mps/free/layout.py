@@ -35,7 +35,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
     places = np.stack([i.ravel() * h, k.ravel() * step], 1)
     opens = np.zeros(0)
     if scene.gate:
-        # Behind a gate, which is made of cells, so is the concrete: as much as there should be.
+        # Behind a gate, which is made of cells, so is the concrete.
         filled = _filled(scene, h, step, nx, nz)
         gate = _inside(scene.gate, middles) & ~filled & (inner == NONE)
         inner[gate] = GATE
@@ -72,18 +72,9 @@ def _inside(points: Points, places: np.ndarray) -> np.ndarray:
 
 
 def _filled(scene: FreeScene, h: float, step: float, nx: int, nz: int) -> np.ndarray:
-    """Whole cells that stand for the outline, row by row; what a row has too much or too little the next one mends."""
+    """Whole cells that stand for the outline: those of which it covers more than half. Each row of a cone of them is as
+    wide as the one above or wider, so that nothing rests on a ledge."""
     fine = np.stack(
         np.meshgrid((np.arange(nx * PARTS) + 0.5) * h / PARTS, (np.arange(nz * PARTS) + 0.5) * step / PARTS), -1
     )
-    part = _inside(scene.outline, fine).reshape(nz, PARTS, nx, PARTS).mean((1, 3))
-    weight = (np.arange(nx) + 0.5) * h if scene.axial else np.ones(nx)
-    filled, owed = np.zeros((nz, nx), bool), 0.0
-    for k in range(nz):
-        owed += float(np.sum(part[k] * weight))
-        for i in np.argsort(-part[k], kind="stable"):
-            if part[k, i] == 0 or owed < 0.5 * weight[i]:
-                break
-            filled[k, i] = True
-            owed -= weight[i]
-    return filled
+    return _inside(scene.outline, fine).reshape(nz, PARTS, nx, PARTS).mean((1, 3)) > 0.5
