@@ -108,7 +108,7 @@ def apparent(concrete, beta, rate):
     return concrete.viscosity + concrete.yield_stress * beta * -np.expm1(-bent) / bent
 
 
-def start_up(scene, times, cells=160, step=2.5e-5):
+def start_up(scene, times, cells=80, step=5e-5):
     """Wall stress [Pa] and slip velocity [m/s] at `times` by finite volumes in one dimension, from a plug at the mean
     velocity that is held ever after: an independent solution."""
     concrete, axial = scene.concrete, scene.dimensions == 3
