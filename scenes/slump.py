@@ -105,7 +105,11 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
-    yield scaled("spacing", "spacing", given.spacing, (1.6, 1.0, 0.5), -3.0, "m")
+    # As fine as the time step lets concrete fall by no more than a cell, as coarse as leaves four cells in the mould.
+    finest = given.time_step * math.sqrt(2 * given.gravity * given.mould_height)
+    coarsest = min(given.top_diameter / 8, given.mould_height / 4)
+    spacings = [f for f in (1.6, 1.25, 1.0, 0.8, 0.5) if finest < f * given.spacing < coarsest]
+    yield scaled("spacing", "spacing", given.spacing, spacings, -3.0, "m")
     yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
     yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
     yield precisions()

@@ -253,7 +253,7 @@ def test_the_type_of_a_scene_says_which_method_simulates_it():
     for kind, scene, wanted in ((FluidSimulation, pipe, "FluidScene"), (ElementSimulation, flow, "Scene")):
         with pytest.raises(SceneError, match=f"scene = '{type(scene).__name__}': must be a {wanted}; warpcrete.Simul"):
             kind(scene)
-    with pytest.raises(SceneError, match="scene = 'dict': must be a Scene or a FluidScene"):
+    with pytest.raises(SceneError, match="scene = 'dict': must be a Scene or a FreeScene or a FluidScene"):
         warpcrete.Simulation({})
 
 

@@ -30,6 +30,7 @@ from .scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 from .stepper import Stepper
 
+LEAST = 0.1  # of wall time that goes to steps, whatever list builds seem to take
 SPENT = 0.7  # wall time for which steps are timed [s]
 MOST = {True: 400_000, False: 40_000}  # spheres of the copy, on a GPU and on a CPU; more cost as these do, each
 # How far concrete goes between two list builds, over the skin: all of it alike in a straight pipe, turning in a bend.
@@ -176,10 +177,11 @@ class _Copy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            rates.append((took - built * self.build) / max(stepper.steps - before, 1))
+            # While other programs run, builds may have been timed as longer than steps and builds together are.
+            rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
-        return float(max(np.quantile(rates, 0.25), 0.0))
+        return float(np.quantile(rates, 0.25))
 
     def builds(self, steps: float) -> float:
         """List builds of the whole run."""

@@ -15,7 +15,7 @@ from ..core.parameters import declared_fields
 NO_MATTER = ("seed", "precision", "tolerated_error")
 """Parameters in which a scene may differ from that of a trade."""
 SHIPPED = Path(__file__).parents[1] / "measured"
-"""Folder of the trades of standard scenes that come with the package, without their single points."""
+"""Folder of the trades of standard scenes that come with the package, as `compact` leaves them."""
 
 
 @dataclass(frozen=True)
