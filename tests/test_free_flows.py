@@ -9,15 +9,18 @@ from click.testing import CliRunner
 
 from warpcrete import scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.errors import InstabilityError, SceneError
+from warpcrete.core.errors import ConvergenceError, InstabilityError, SceneError
+from warpcrete.core.footprint import footprint
 from warpcrete.core.run_loop import Recorder, Simulation
 from warpcrete.core.units import number
+from warpcrete.kernels.mps.structs import DENSITY
 from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.mps.free.theory import cone_volume, long_heap_spread, tall_cone_slump
 from warpcrete.mps.grid.layout import GATE, NONE
+from warpcrete.mps.grid.state import SLOT_BYTES
 from warpcrete.mps.theory import Concrete
 from warpcrete.scenes import modules
 
@@ -129,6 +132,52 @@ def test_concrete_in_the_air_falls_freely(device):
     assert np.mean(np.abs(speed[:, 1] + 9.81 * 0.1) < 0.01) > 0.95 and np.abs(speed[:, 0]).max() < 0.02
     fallen = simulation.state.particles.position.numpy()[:, 1].mean() - 0.25
     assert fallen == pytest.approx(-0.5 * 9.81 * 0.1**2, rel=0.03)  # whole steps
+
+
+# Solves, memory, pictures.
+
+
+def test_each_solve_tells_of_itself(device):
+    """The third solve works with the pressure's matrix, not with its arrays; one that fails says which."""
+    simulation = FreeSimulation(slump(lift_time=0.05), device=device)
+    simulation.prepare()
+    flow = simulation.flow
+    flow.take(60)
+    outcomes = flow.outcomes()
+    assert set(outcomes) == {"viscosity", "pressure", "density"}
+    assert flow.dispersion.matrix is flow.projection.matrix
+    assert outcomes["pressure"]["before"] != outcomes["density"]["before"]
+    assert simulation.measure()["pressure_iterations"] == outcomes["pressure"]["iterations"] > 1
+    with pytest.raises(ConvergenceError, match="density"):
+        flow._fail(int(DENSITY))
+
+
+@pytest.mark.parametrize("scene", [slump(spacing=0.004, time_step=1e-3), scenes.tube(ends="periodic", spacing=2e-3)])
+def test_what_a_grid_takes_is_foreseen(scene):
+    simulation = Simulation(scene, device="cpu")
+    simulation.prepare()
+    told, taken = simulation.state.slots * SLOT_BYTES, sum(footprint(flow=simulation.flow).values())
+    assert taken < told < 2.2 * taken  # empty cells of a vessel hold no particles
+
+
+@pytest.mark.parametrize(("scene", "walls"), [(slump(), {"plate", "mould"}), (vessel(), {"plate"})])
+@pytest.mark.parametrize("colouring", ["shear", "speed", "pressure"])
+def test_what_is_drawn(scene, walls, colouring):
+    simulation = FreeSimulation(scene, device="cpu")
+    simulation.prepare()
+    simulation.flow.take(10)
+    display = simulation.display(colouring)
+    centres, radii = display.centres(), display.radii()
+    assert centres.shape == (len(radii), 3) and display.colours().shape == (len(radii), 3) and len(radii) < 20_000
+    upper = display.bounds()[1]
+    assert np.all(centres[:, 2] >= 0) and centres[:, 2].max() <= upper[2] + 0.01
+    assert np.abs(centres[:, 0]).max() <= scene.width
+    drawn = display.walls()
+    assert {wall.name for wall in drawn} == walls
+    for which, wall in enumerate(drawn):
+        assert wall.faces.max() < len(wall.vertices)
+        lifted = display.wall_pose(which)[0][2]
+        assert lifted == pytest.approx(scene.lift_speed * simulation.flow.time if wall.name == "mould" else 0.0)
 
 
 # Slump and spread.

@@ -180,6 +180,28 @@ def test_flows_go_the_same_either_way(name):
     same(p, p2)
 
 
+GRIDS = {
+    "periodic pipe": lambda: scenes.tube(ends="periodic", length=0.1, yield_stress=400.0),
+    "slump": lambda: scenes.slump(spacing=0.0125, yield_stress=500.0, lift_time=0.05),
+}
+
+
+@pytest.mark.parametrize("pick", GRIDS)
+def test_a_grid_steps_abreast_as_it_does_in_turn(pick):
+    """Bins filled in any order and sorted, sums of blocks, solves in a loop."""
+    found = []
+    for gpu in (False, True):
+        with share_out_like_a_gpu() if gpu else nullcontext():
+            simulation = Simulation(GRIDS[pick](), device="cpu", precision="float64")
+            simulation.prepare()
+            flow = simulation.flow
+            assert flow.parallel == gpu == any(isinstance(stage, Loop) for stage in flow.step[0])
+            flow.take(30)
+        found.append((flow.particles.position.numpy(), flow.particles.velocity.numpy(), flow.mesh.traction.numpy()))
+    for one, two in zip(*found, strict=True):
+        assert np.abs(one).max() > 1e-3 and two == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
+
+
 def kernels_of_a_step(pick):
     """Kernels of the steps of both methods, and of a rebuild, as a GPU has them."""
     with share_out_like_a_gpu():
@@ -189,6 +211,11 @@ def kernels_of_a_step(pick):
             simulation = Simulation(scene, device="cpu")
             simulation.prepare()
             stages = launches_of(simulation)
+        elif pick in GRIDS:
+            simulation = Simulation(GRIDS[pick](), device="cpu")
+            simulation.prepare()
+            flow = simulation.flow
+            stages = [s for stage in flow.step[0] for s in (stage.body if isinstance(stage, Loop) else [stage])]
         else:
             scene = grained(0.05) if pick == "two phases" else scenes.tube(spacing=20e-3)
             flow = MovingParticles(FluidState(scene, find_device("cpu"), "float32"), threads=1)
@@ -196,7 +223,7 @@ def kernels_of_a_step(pick):
     return {stage.kernel.key: stage.kernel for stage in stages}
 
 
-@pytest.mark.parametrize("pick", ["elements", "one phase", "two phases"])
+@pytest.mark.parametrize("pick", ["elements", "one phase", "two phases", *GRIDS])
 def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
     """For an H100's or H200's architecture, by the compiler that Warp brings along."""
     kernels = kernels_of_a_step(pick)

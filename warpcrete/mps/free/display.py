@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import OTHER, Curve, Display, DrawnWall, Plot, on_palette
+from ...core.display import OTHER, Colour, Curve, Display, DrawnWall, Plot, on_palette
 
 SECTION, BEHIND = 4000, 8000
 """Particles that are drawn of a section, and of the half behind it, at most."""
@@ -27,6 +28,7 @@ class FreeDisplay(Display):
     def _axial(self) -> bool:
         return self.simulation.scene.axial
 
+    @cached_property
     def _chosen(self) -> tuple[np.ndarray, np.ndarray]:
         """Which particles are drawn, and the angle from the section at which [rad]."""
         count = self.simulation.state.count
@@ -42,16 +44,16 @@ class FreeDisplay(Display):
 
     def radii(self) -> np.ndarray:
         """Half a particle's distance in the section, half a cell's behind it [m]."""
-        layout, (particles, angles) = self.simulation.state.layout, self._chosen()
+        layout, (_, angles) = self.simulation.state.layout, self._chosen
         cut = np.isin(angles, (0.0, np.pi))
         stride = np.sqrt(max(1.0, len(layout.fluid) / max(np.count_nonzero(angles == 0), 1)))
         size = np.where(cut, 0.5 * layout.mark_spacing * stride, 0.6 * layout.spacing)
-        return size.astype(np.float32)[: len(particles)]
+        return size.astype(np.float32)
 
     def centres(self) -> np.ndarray:
         """Particles in the room [m], shape (n, 3): z up, the section in the plane of x and z."""
         x = self.simulation.state.particles.position.numpy().astype(float)
-        particles, angles = self._chosen()
+        particles, angles = self._chosen
         x = x[particles]
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
 
@@ -67,7 +69,7 @@ class FreeDisplay(Display):
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all that is drawn, shape (n, 3)."""
-        found, state = self._chosen()[0], self.simulation.state
+        found, state = self._chosen[0], self.simulation.state
         if self.colouring == "pressure":
             values = state.particles.pressure.numpy().astype(float) / 1e3
         elif self.colouring == "speed":
@@ -90,7 +92,7 @@ class FreeDisplay(Display):
         )  # fmt: skip
 
     def walls(self) -> list[DrawnWall]:
-        """The plate, blocks, and the mould or gate, which moves."""
+        """The plate, and the mould or gate, which moves."""
         scene, found = self.simulation.scene, []
         below = -0.005
         if self._axial:
@@ -102,7 +104,6 @@ class FreeDisplay(Display):
             return found
         floor = np.array([[0.0, below], [scene.width, below]])
         found.append(_drawn_out("plate", floor, PLATE, False))
-        found += [_drawn_out(f"wall {n}", np.array([*b, b[0]]), OTHER, False) for n, b in enumerate(scene.blocks)]
         if scene.gate:
             found.append(_drawn_out("gate", np.array([*scene.gate, scene.gate[0]]), OTHER, True))
         return found
@@ -122,9 +123,7 @@ class FreeDisplay(Display):
         return np.array([[left, 0.0, 0.0], [0.8 * scene.width if self._axial else scene.width, 0.0, height]])
 
 
-def _revolved(
-    name: str, line: np.ndarray, colour: tuple[int, int, int, int], moves: bool, facets: int = 48
-) -> DrawnWall:
+def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: int = 48) -> DrawnWall:
     """A line of radius and height [m], turned about the axis."""
     angle = 2 * np.pi * np.arange(facets) / facets
     ring = np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -137,10 +136,8 @@ def _revolved(
     return DrawnWall(name, vertices, np.array(faces), moves, colour)
 
 
-def _drawn_out(
-    name: str, line: np.ndarray, colour: tuple[int, int, int, int], moves: bool, deep: float = 0.1
-) -> DrawnWall:
-    """A line across and up [m], as deep as an L-box is to either side of the section."""
+def _drawn_out(name: str, line: np.ndarray, colour: Colour, moves: bool, deep: float = 0.1) -> DrawnWall:
+    """A line across and up [m], and so `deep` behind the section [m]."""
     vertices = np.array([(x, y, z) for x, z in line for y in (0.0, deep)])
     faces = [
         f for k in range(len(line) - 1) for f in ((2 * k, 2 * k + 1, 2 * k + 2), (2 * k + 1, 2 * k + 3, 2 * k + 2))

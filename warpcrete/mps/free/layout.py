@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.path import Path
 
 from ..grid.layout import AXIS, GATE, NONE, PLATE, GridLayout
 from .scene import FreeScene, Points
@@ -23,21 +22,19 @@ def free_cells(scene: FreeScene) -> tuple[int, int]:
 
 
 def free_layout(scene: FreeScene) -> GridLayout:
-    """A vessel: plate below, walls where there are blocks, a gate where something is lifted, air above and around."""
+    """A vessel: plate below, a gate where something is lifted, air above and around."""
     nx, nz = free_cells(scene)
     h, step = scene.width / nx, scene.height / nz
     middles = np.stack(np.meshgrid((np.arange(nx) + 0.5) * h, (np.arange(nz) + 0.5) * step), -1)
     solid = np.full((nz + 2, nx + 2), NONE, np.int32)
     inner = solid[1:-1, 1:-1]
-    for block in scene.blocks:
-        inner[_inside(block, middles)] = PLATE
     i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
     places = np.stack([i.ravel() * h, k.ravel() * step], 1)
     opens = np.zeros(0)
     if scene.gate:
         # Behind a gate, which is made of cells, so is the concrete.
         filled = _filled(scene, h, step, nx, nz)
-        gate = _inside(scene.gate, middles) & ~filled & (inner == NONE)
+        gate = _inside(scene.gate, middles) & ~filled
         inner[gate] = GATE
         opens = np.zeros(solid.shape)
         opens[1:-1, 1:-1] = np.where(gate, middles[..., 1] / scene.lift_speed, 0.0)
@@ -68,6 +65,8 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 def _inside(points: Points, places: np.ndarray) -> np.ndarray:
     """Which places lie in a polygon."""
+    from matplotlib.path import Path
+
     return Path(points).contains_points(places.reshape(-1, 2)).reshape(places.shape[:-1])
 
 

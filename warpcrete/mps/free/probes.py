@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...kernels.mps.grid.cells import LIQUID
 from ..grid.flow import GridFlow
 
 HALF = 0.5
-"""Of a face's volume in the concrete, for its velocity to count."""
+"""Part of a cell that must be full for its velocity to count."""
 UNITS = {
     "time": "s",
     "top": "m",
@@ -50,11 +49,10 @@ def measured(flow: GridFlow, volume: float) -> dict[str, float]:
     across, height = surface(flow)
     weight = across if layout.axial else np.ones_like(across)
     found = float((state.cells("fill") * weight).sum()) * layout.spacing * layout.step
-    # A little concrete in a face of air falls, and says nothing of the heap.
-    whole = layout.spacing * layout.step * np.abs(layout.left + np.arange(-1, layout.cells[0] + 1) * layout.spacing)
-    whole = np.maximum(whole, 1e-30) if layout.axial else np.full(layout.cells[0] + 2, layout.spacing * layout.step)
-    inside = (state.faces("kind") == int(LIQUID)) & (state.faces("volume") > HALF * whole)
-    speed = np.abs(state.faces("velocity"))[inside]
+    u, w = state.faces("velocity")
+    across_cell, along_cell = 0.5 * (u[1:-1, 1:-1] + u[1:-1, 2:]), 0.5 * (w[1:-1, 1:-1] + w[2:, 1:-1])
+    # A little concrete in a cell of air falls, and says nothing of the heap.
+    speed = np.hypot(across_cell, along_cell)[state.cells("fill") > HALF]
     outcomes = flow.outcomes()
     far = reach(flow)
     return {

@@ -58,8 +58,6 @@ class FreeScene(FreeSettings):
     """Of the cells [m]; the nearest is taken that divides the width."""
     outline: Points
     """Of the concrete at the start."""
-    blocks: tuple[Points, ...] = ()
-    """Of walls."""
     gate: Points = ()
     """Of what is lifted; none: nothing holds the concrete back."""
     lift_speed: float = 0.0

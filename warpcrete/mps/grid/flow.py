@@ -8,7 +8,7 @@ velocity from the grid and go with it. Nothing hangs on how particles lie, so sh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ LAUNCH = 4  # largest graphs from one look at the flags to the next
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # of what flows through a cell's sides
 EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
 CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
-WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure"}
+WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,8 @@ class GridFlow:
         self._launcher = Launcher(1, self.device)
         self.viscous = self._system(2 * state.slots, VELOCITY_NEIGHBOURS)
         self.projection = self._system(state.slots, PRESSURE_NEIGHBOURS)
+        # The same matrix once more, for what moves particles off crowds; a full pipe has no need of it.
+        self.dispersion = None if state.layout.periodic else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._carried = [wp.zeros(2 * state.slots, dtype=self.scalar, device=self.device) for _ in range(2)]
         self._known = [wp.zeros(2 * state.slots, dtype=wp.int32, device=self.device) for _ in range(2)]
@@ -98,13 +100,18 @@ class GridFlow:
                 # What would bind rows of vectors to walls has none here.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
+        numbers = flow_struct(self.scalar)()
+        numbers.count = rows
+        return System(rows, matrix, self._arrays(rows), numbers)
+
+    def _arrays(self, rows: int) -> Any:
+        """Working arrays of a solve."""
+        structs = array_structs(self.scalar, 2)
         solve = structs.NumberSolve()
         sizes = {"partial": 3 * -(-rows // BLOCK), "numbers": 3, "outcome": OUTCOME, "history": HISTORY, "going": 1}
         for name in structs.NumberSolve.vars:
             setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))
-        numbers = flow_struct(self.scalar)()
-        numbers.count = rows
-        return System(rows, matrix, solve, numbers)
+        return solve
 
     def _zeros(self, struct: Any, name: str, size: int) -> wp.array:
         return wp.zeros(size, dtype=struct.vars[name].type.dtype, device=self.device)
@@ -118,11 +125,17 @@ class GridFlow:
     @property
     def holdings(self) -> dict[str, Any]:
         """What holds its memory, by part."""
-        systems = self.viscous, self.projection
+        systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "matrix": [system.matrix for system in systems],
             "solves": [system.arrays for system in systems],
         }  # fmt: skip
+
+    @property
+    def _systems(self) -> dict[int, System]:
+        """By what they solve for."""
+        found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
+        return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 
     # Stages.
 
@@ -202,7 +215,7 @@ class GridFlow:
         """Velocities beyond the concrete, a cell further in each; they end in the first arrays."""
         found = []
         for turn in range(EXTENDED):
-            to = turn % 2 if EXTENDED % 2 else 1 - turn % 2
+            to = (EXTENDED - 1 - turn) % 2
             found.append(
                 self.stage(
                     kernel, self.state.slots, again=int(turn > 0), before=self._carried[1 - to],
@@ -216,9 +229,10 @@ class GridFlow:
         kernels, slots = crowd_kernels(self.scalar, self.state.layout.axial), self.state.slots
         tolerance, least = CROWDING
         absolute = least * self.scene.concrete.density / self.scene.time_step**2 * self._volume * self._size
+        assert self.dispersion is not None
         return [
-            self.stage(kernels.source, slots, projection=self.projection.arrays),
-            *self._solve(self.projection, DENSITY, self.mesh.potential, tolerance, absolute),
+            self.stage(kernels.source, slots, projection=self.dispersion.arrays),
+            *self._solve(self.dispersion, DENSITY, self.mesh.potential, tolerance, absolute),
             self.stage(kernels.disperse, slots),
         ]
 
@@ -284,23 +298,21 @@ class GridFlow:
             raise InstabilityError(
                 f"t = {self.time:.6g} s: a particle's velocity is not a number; usual cure: a smaller time step"
             )
-        outcome = self._system_of(what).arrays.outcome.numpy()
+        arrays = self._systems[what].arrays
+        outcome = arrays.outcome.numpy()
         count = int(outcome[int(ITERATIONS)])
-        history = [float(outcome[int(BEFORE)]), *map(float, self._system_of(what).arrays.history.numpy()[:count])]
+        history = [float(outcome[int(BEFORE)]), *map(float, arrays.history.numpy()[:count])]
         raise ConvergenceError(
             self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
         )
 
-    def _system_of(self, what: int) -> System:
-        return self.viscous if what == VISCOSITY else self.projection
-
     def outcomes(self) -> dict[str, dict[str, float]]:
         """Iterations and residuals of each solve in the last step."""
         found = {}
-        for what, name in WHAT.items():
-            outcome = self._system_of(what).arrays.outcome.numpy()
+        for what, system in self._systems.items():
+            outcome = system.arrays.outcome.numpy()
             numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
-            found[name] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
+            found[WHAT[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
         return found
 
     def state_arrays(self) -> dict[str, np.ndarray]:

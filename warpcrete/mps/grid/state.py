@@ -18,8 +18,8 @@ MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress"
 """What the next step depends on."""
 ROWS = {"bin": int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2, "shift": 2}
 """Entries for each slot of the grid, of arrays of the mesh that have more than one."""
-SLOT_BYTES = 4 * (int(BIN) + 90)
-"""Of a cell with its faces, its rows of both systems and its particles, in single precision, at most."""
+SLOT_BYTES = 4 * (int(BIN) + 210)
+"""Of a cell with its faces, its rows of the systems and nine particles, in single precision."""
 
 
 class GridState:
