@@ -367,10 +367,12 @@ def _falls(result: dict) -> tuple[float, float]:
     return fall, fall / (middle - result["slip_velocity"]["value"])
 
 
-def main() -> None:
+NAMES = ("resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "paper_scheme", "long")
+
+
+def main(kind: type[Studies] = Studies, names: tuple[str, ...] = NAMES, about: str | None = __doc__) -> None:
     """Run the studies asked for."""
-    names = ["resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "paper_scheme", "long"]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", nargs="+", choices=names, default=names)
@@ -379,7 +381,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="mixes of migration, for means and scatter")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    studies = Studies(args.device, args.out, args.fine, args.migration, args.seeds)
+    studies = kind(args.device, args.out, args.fine, args.migration, args.seeds)
     for name in args.only:
         start = time.perf_counter()
         getattr(studies, name)()

@@ -6,14 +6,11 @@ Writes `NAME.md`, and `NAME.png` for some, for each study into the new folder; n
 them.
 """
 
-import argparse
 import multiprocessing
-import time
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 import numpy as np
-from fluid_studies import Studies
+from fluid_studies import Studies, main
 from matplotlib.figure import Figure
 
 from warpcrete import InstabilityError, Simulation, scenes
@@ -101,21 +98,5 @@ class GridStudies(Studies):
             return list(pool.map(slump, [(job, self.device) for job in jobs]))
 
 
-def main() -> None:
-    """Run the studies asked for."""
-    names = ["shear", "slump"]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--device")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--only", nargs="+", choices=names, default=names)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    studies = GridStudies(args.device, args.out, 0.0, 0.0, 0)
-    for name in args.only:
-        start = time.perf_counter()
-        getattr(studies, name)()
-        print(f"({name}: {time.perf_counter() - start:.0f} s)", flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    main(GridStudies, ("shear", "slump"), __doc__)

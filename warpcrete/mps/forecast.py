@@ -42,7 +42,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
     flow = simulation.flow
     _, first = timed(lambda: flow.take(min(between, TAKEN)), device)
     duration, remarks = _duration(scene, flow.count, str(device), precision, threads)
-    step = _step_time(simulation)
+    step = step_time(simulation)
     steps = max(1.0, duration / scene.time_step)
     sample = median_time(simulation.measure, flow.device)
     samples = math.ceil(duration / scene.sample_interval - 1e-9)
@@ -88,7 +88,7 @@ def _duration(
     return reached, [] if run.result["steady"] else [f"not steady within {reached:g} s"]
 
 
-def _step_time(simulation: FluidSimulation) -> float:
+def step_time(simulation: Any) -> float:
     """Wall time of a step [s]."""
     flow = simulation.flow
     flow.take(TAKEN)  # its graph is there now

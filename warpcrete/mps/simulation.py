@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time as wall_clock
 from typing import Any
 
 import numpy as np
 
-from ..core.footprint import footprint
 from ..core.method import results_of
 from ..core.provenance import arrays_hash, provenance
-from ..core.run_loop import Run, Simulation
+from ..core.run_loop import Run
 from ..core.units import quantity
 from . import probes
 from .display import FlowDisplay
@@ -21,6 +19,7 @@ from .grid.state import GridState, check_memory
 from .particles import MovingParticles
 from .probes import UNITS
 from .quantities import QUANTITIES, Known
+from .run import FlowRun
 from .scene import FluidScene
 from .state import FluidState
 from .theory import velocity
@@ -33,7 +32,7 @@ APART = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
 
-class FluidSimulation(Simulation):
+class FluidSimulation(FlowRun):
     """A flow; parameters and errors are those of :class:`warpcrete.Simulation`. A solve that does not converge raises
     :class:`ConvergenceError`.
     """
@@ -42,17 +41,12 @@ class FluidSimulation(Simulation):
     scene: FluidScene
 
     def set_up(self) -> None:
-        """Nothing but what to watch: particles take memory."""
+        """What to watch, and by what."""
+        super().set_up()
         self.steady = False
-        self._rows: list[dict[str, float]] = []
         self._watch = WatchedFlow(self.scene)
         self._periodic = self.scene.ends == "periodic"
         self._probes = grid_probes if self._periodic else probes
-
-    @property
-    def prepared(self) -> bool:
-        """The particles are there."""
-        return hasattr(self, "flow")
 
     @property
     def top_speed(self) -> float:
@@ -60,19 +54,9 @@ class FluidSimulation(Simulation):
         return self._watch.top_speed
 
     @property
-    def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far."""
-        return self._rows
-
-    @property
     def duration(self) -> float:
         """Simulated time of the whole run, at most [s]."""
         return LONGEST if self.scene.duration is None else self.scene.duration
-
-    @property
-    def state(self) -> FluidState | GridState:
-        """The particles."""
-        return self.flow.state
 
     def unit(self, column: str) -> str:
         """Unit of a column of the series."""
@@ -82,46 +66,16 @@ class FluidSimulation(Simulation):
         """What recorders draw."""
         return FlowDisplay(self, colouring)
 
-    def prepare(self) -> None:
-        """Place the particles."""
-        started = wall_clock.perf_counter()
-        self.tell("packing", 0.0)
-        self.flow: MovingParticles | GridFlow
+    def placed(self) -> MovingParticles | GridFlow:
+        """The particles, and the grid where there is one."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
-            self.flow = GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
-        else:
-            self.flow = MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
-        self.stepper = self.flow
-        self.tell("packing", 1.0)
-        self._spent["packing"] = wall_clock.perf_counter() - started
+            return GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
+        return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Particles, and the rows so far."""
-        return {
-            "flow": self.flow.state_dict(),
-            "columns": list(self._rows[0]) if self._rows else [],
-            "rows": np.array([list(row.values()) for row in self._rows]),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`, in place of `prepare`."""
-        spent = dict(self._spent)
-        self.prepare()
-        self._spent = spent
-        self.flow.load_state_dict(state["flow"])
-        self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
-
-    def release(self) -> None:
-        """Let go of the device's memory; the run's results stay."""
-        for name in ("flow", "stepper"):  # a run may have failed before it had them
-            self.__dict__.pop(name, None)
-
-    def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`."""
-        row = self._probes.measured(self.flow, self._rows[-1] if self._rows else None)
-        self._rows.append(row)
-        return row
+    def measured(self) -> dict[str, float]:
+        """A row of the series."""
+        return self._probes.measured(self.flow, self._rows[-1] if self._rows else None)
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
@@ -146,8 +100,7 @@ class FluidSimulation(Simulation):
     def result(self, finished: bool) -> Run:
         """The run as it is now, with its quantities."""
         scene, flow, rows = self.scene, self.flow, self._rows
-        series = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
-        running = self._spent.get("running", 0.0)
+        series = self.series()
         result: dict[str, Any] = {
             "scene": scene.name,
             "method": "mps",
@@ -173,13 +126,7 @@ class FluidSimulation(Simulation):
             result["profiles"] = [self._profile(part) for part in PROFILES]
             outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
             result["iterations"] = outcomes
-        result["speed"] = {
-            "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
-            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
-            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
-            "memory": quantity(footprint(flow=flow)["flow"], "B"),
-        }
+        result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())
         result["provenance"] = provenance(self.device, self.precision, scene.seed)
         return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)

@@ -11,12 +11,12 @@ import numpy as np
 from ...core.errors import InstabilityError
 from ...core.footprint import footprint
 from ...core.forecast import Forecast, Probe, median_time, timed
+from ..forecast import TAKEN, step_time
 from .scene import FreeScene
 from .simulation import FreeSimulation
 
 COARSE = 12
 """Cells over the concrete's height at the start, of the coarser flow."""
-SPENT, TAKEN = 1.0, 10  # wall time for which steps are timed [s], steps at once
 
 
 def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -33,11 +33,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
     duration, remarks = _duration(scene, str(device), precision)
     simulation, placing = timed(begun, device)
     flow = simulation.flow
-    flow.take(TAKEN)
-    times: list[float] = []
-    while sum(times) < SPENT:
-        times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
-    step = float(np.median(times)) / TAKEN
+    step = step_time(simulation)
     sample = median_time(simulation.measure, flow.device)
     steps = max(1.0, duration / scene.time_step)
     found = Forecast(

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import time as wall_clock
 from typing import Any
 
 import numpy as np
 
 from ...core.errors import InstabilityError
-from ...core.footprint import footprint
 from ...core.method import results_of
 from ...core.provenance import arrays_hash, provenance
-from ...core.run_loop import Run, Simulation
+from ...core.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
+from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, measured, reach, surface
@@ -26,31 +25,16 @@ RESTED = 1.0
 """Simulated time over which concrete must be slow to be at rest [s]."""
 
 
-class FreeSimulation(Simulation):
+class FreeSimulation(FlowRun):
     """A flow with a free surface; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = FreeScene
     scene: FreeScene
 
     def set_up(self) -> None:
-        """Nothing: particles take memory."""
-        self._rows: list[dict[str, float]] = []
+        """Nothing is at rest yet."""
+        super().set_up()
         self.rests = False
-
-    @property
-    def prepared(self) -> bool:
-        """The particles are there."""
-        return hasattr(self, "flow")
-
-    @property
-    def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far."""
-        return self._rows
-
-    @property
-    def state(self) -> GridState:
-        """The particles and the grid."""
-        return self.flow.state
 
     def unit(self, column: str) -> str:
         """Unit of a column of the series."""
@@ -60,44 +44,17 @@ class FreeSimulation(Simulation):
         """What recorders draw."""
         return FreeDisplay(self, colouring)
 
-    def prepare(self) -> None:
-        """Place the particles."""
-        started = wall_clock.perf_counter()
-        self.tell("packing", 0.0)
+    def placed(self) -> GridFlow:
+        """The particles and the grid."""
         check_memory(free_cells(self.scene), self.device, self.precision)
         layout = free_layout(self.scene)
-        self.flow = self.stepper = GridFlow(GridState(self.scene, layout, self.device, self.precision))
         self.volume = float(np.sum(layout.mass)) * layout.volume
         """Of the concrete, of a metre's depth or a radian."""
-        self.tell("packing", 1.0)
-        self._spent["packing"] = wall_clock.perf_counter() - started
+        return GridFlow(GridState(self.scene, layout, self.device, self.precision))
 
-    def state_dict(self) -> dict[str, Any]:
-        """Particles, grid, and the rows so far."""
-        return {
-            "flow": self.flow.state_dict(),
-            "columns": list(UNITS),
-            "rows": np.array([[row[name] for name in UNITS] for row in self._rows]),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`, in place of `prepare`."""
-        spent = dict(self._spent)
-        self.prepare()
-        self._spent = spent
-        self.flow.load_state_dict(state["flow"])
-        self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
-
-    def release(self) -> None:
-        """Let go of the device's memory; the run's results stay."""
-        for name in ("flow", "stepper"):  # a run may have failed before it had them
-            self.__dict__.pop(name, None)
-
-    def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`."""
-        row = measured(self.flow, self.volume)
-        self._rows.append(row)
-        return row
+    def measured(self) -> dict[str, float]:
+        """A row of the series."""
+        return measured(self.flow, self.volume)
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
@@ -130,8 +87,7 @@ class FreeSimulation(Simulation):
     def result(self, finished: bool) -> Run:
         """The run as it is now, with its quantities."""
         scene, flow, rows = self.scene, self.flow, self._rows
-        series = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
-        running = self._spent.get("running", 0.0)
+        series = self.series()
         layout = flow.state.layout
         result: dict[str, Any] = {
             "scene": scene.name,
@@ -151,13 +107,7 @@ class FreeSimulation(Simulation):
             result["surface"] = {
                 "place": {"value": across.tolist(), "unit": "m"}, "height": {"value": height.tolist(), "unit": "m"},
             }  # fmt: skip
-        result["speed"] = {
-            "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
-            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
-            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
-            "memory": quantity(footprint(flow=flow)["flow"], "B"),
-        }
+        result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())
         result["provenance"] = provenance(self.device, self.precision, scene.seed)
         return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)

@@ -1,0 +1,96 @@
+"""What runs of flows have in common, whether particles alone carry them or a grid."""
+
+from __future__ import annotations
+
+import time as wall_clock
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+
+from ..core.footprint import footprint
+from ..core.run_loop import Simulation
+from ..core.units import quantity
+
+
+class FlowRun(Simulation):
+    """A simulation whose state is a `flow`: it has `state`, `state_dict`, `load_state_dict`, `count` and `steps`."""
+
+    flow: Any
+
+    def set_up(self) -> None:
+        """Nothing but the rows: particles take memory."""
+        self._rows: list[dict[str, float]] = []
+
+    @abstractmethod
+    def placed(self) -> Any:
+        """The flow at the start."""
+
+    @abstractmethod
+    def measured(self) -> dict[str, float]:
+        """A row of the series."""
+
+    @property
+    def prepared(self) -> bool:
+        """The particles are there."""
+        return hasattr(self, "flow")
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far."""
+        return self._rows
+
+    @property
+    def state(self) -> Any:
+        """The particles."""
+        return self.flow.state
+
+    def prepare(self) -> None:
+        """Place the particles."""
+        started = wall_clock.perf_counter()
+        self.tell("packing", 0.0)
+        self.flow = self.stepper = self.placed()
+        self.tell("packing", 1.0)
+        self._spent["packing"] = wall_clock.perf_counter() - started
+
+    def measure(self) -> dict[str, float]:
+        """Measure, and append the row to `rows`."""
+        row = self.measured()
+        self._rows.append(row)
+        return row
+
+    def state_dict(self) -> dict[str, Any]:
+        """The flow, and the rows so far."""
+        return {
+            "flow": self.flow.state_dict(),
+            "columns": list(self._rows[0]) if self._rows else [],
+            "rows": np.array([list(row.values()) for row in self._rows]),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`, in place of `prepare`."""
+        spent = dict(self._spent)
+        self.prepare()
+        self._spent = spent
+        self.flow.load_state_dict(state["flow"])
+        self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
+
+    def release(self) -> None:
+        """Let go of the device's memory; the run's results stay."""
+        for name in ("flow", "stepper"):  # a run may have failed before it had them
+            self.__dict__.pop(name, None)
+
+    def series(self) -> dict[str, np.ndarray]:
+        """Columns of the rows so far."""
+        return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
+
+    def speed(self) -> dict[str, Any]:
+        """What the run took, as its result tells it."""
+        flow, running = self.flow, self._spent.get("running", 0.0)
+        return {
+            "wall_time": quantity(running, "s"),
+            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
+            "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
+            "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
+            "memory": quantity(footprint(flow=flow)["flow"], "B"),
+        }
