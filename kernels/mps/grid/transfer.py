@@ -80,28 +80,26 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         part = scalar(0.0)
         crowd = scalar(1.0)
         if mesh.solid[c] == OPEN:
-            part = scalar(1.0)
-            if wp.static(not periodic):
-                place = vec(g.left + (scalar(i) + scalar(0.5)) * g.dx, (scalar(k) + scalar(0.5)) * g.dz)
-                sum = scalar(0.0)
-                room = scalar(0.0)
-                for a in range(-1, 2):
-                    for b in range(-1, 2):
-                        o = f.at(g, i + a, k + b)
-                        if mesh.solid[o] == OPEN:
-                            share = wp.where(a == 0, scalar(0.75), scalar(0.125)) * (
-                                wp.where(b == 0, scalar(0.75), scalar(0.125))
-                            )
-                            room += share * f.cell_volume(g, i + a)
-                            if i + a >= 0 and i + a < g.nx and k + b < g.nz:
-                                for n in range(mesh.count[o]):
-                                    p = mesh.bin[o * BIN + n]
-                                    d = particles.position[p] - place
-                                    near = (scalar(1.0) - wp.abs(d[0]) / g.dx) * (scalar(1.0) - wp.abs(d[1]) / g.dz)
-                                    if wp.abs(d[0]) < g.dx and wp.abs(d[1]) < g.dz:
-                                        sum += near * particles.mass[p]
-                crowd = sum * g.volume / room
-                part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
+            place = vec(g.left + (scalar(i) + scalar(0.5)) * g.dx, (scalar(k) + scalar(0.5)) * g.dz)
+            sum = scalar(0.0)
+            room = scalar(0.0)
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    o = f.at(g, i + a, k + b)
+                    if mesh.solid[o] == OPEN:
+                        share = wp.where(a == 0, scalar(0.75), scalar(0.125)) * (
+                            wp.where(b == 0, scalar(0.75), scalar(0.125))
+                        )
+                        room += share * f.cell_volume(g, i + a)
+                        if i + a >= 0 and i + a < g.nx and k + b < g.nz:
+                            for n in range(mesh.count[o]):
+                                p = mesh.bin[o * BIN + n]
+                                d = particles.position[p] - place
+                                near = (scalar(1.0) - wp.abs(d[0]) / g.dx) * (scalar(1.0) - wp.abs(d[1]) / g.dz)
+                                if wp.abs(d[0]) < g.dx and wp.abs(d[1]) < g.dz:
+                                    sum += near * particles.mass[p]
+            crowd = sum * g.volume / room
+            part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
         mesh.crowd[c] = crowd
         mesh.fill[c] = part
         mesh.liquid[c] = wp.where(part > scalar(0.0), 1, 0)

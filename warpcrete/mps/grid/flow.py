@@ -165,7 +165,7 @@ class GridFlow:
             *([self.stage(bins.lift, slots)] if len(layout.opens) else []),
             self.stage(bins.sort, self.count),
             self.stage(bins.order, slots),
-            self.stage(bins.fill, slots),
+            *([] if layout.periodic else [self.stage(bins.fill, slots)]),
             self.stage(gather_kernel(self.scalar, *kind), slots),
             self.stage(viscosity_kernel(self.scalar, *kind), slots),
             self.stage(wall_kernel(self.scalar, *kind), slots),

@@ -11,7 +11,7 @@ from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import BIN, DRIVE, FORCE, INSIDE, cells_struct, grid_structs
-from .layout import GridLayout
+from .layout import NONE, GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
@@ -54,9 +54,13 @@ class GridState:
         )  # fmt: skip
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = layout.drive
+        full = np.zeros(self.shape, np.int32)  # as a periodic pipe stays
+        if layout.periodic:
+            full[1:-1, 1:-1] = layout.solid[1:-1, 1:-1] == NONE
+        full = full.ravel()
         own = {
             "solid": layout.solid.ravel(), "kind": np.full(2 * self.slots, int(INSIDE)), "drive": drive,
-            "opens": layout.opens.ravel(),
+            "opens": layout.opens.ravel(), "fill": full, "liquid": full,
         }  # fmt: skip
         counts = {name: ROWS.get(name, 1) * self.slots for name in self.structs.Mesh.vars}
         self.mesh = self._filled(self.structs.Mesh, **counts | own)
