@@ -62,7 +62,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     # Whole cells in the mould's height and foot.
     rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
     thick = SHELL * base / rings
-    gate = ((0.0, 0.0), (base + thick, 0.0), (top + thick, height), (0.0, height)) if given.lift_time else ()
+    gate = ((base, 0.0), (base + thick, 0.0), (top + thick, height), (top, height)) if given.lift_time else ()
     standard = (given.top_diameter, given.base_diameter, given.mould_height) == (TOP, BASE, HEIGHT)
     as_printed = given.concrete in PUBLISHED and all(getattr(given, name) is None for name in CONSTANTS)
     return FreeScene(

@@ -20,11 +20,13 @@ LOST = 4  # a particle is not a number, or far outside
 
 @functools.cache
 def mps_types(scalar, dimensions: int) -> SimpleNamespace:
-    """`vec` and `mat` of one precision in two or three dimensions."""
+    """`vec` and `mat` of one precision in two or three dimensions, and `whole` numbers as many."""
     double = scalar is wp.float64
     if dimensions == 2:
-        return SimpleNamespace(vec=wp.vec2d if double else wp.vec2f, mat=wp.mat22d if double else wp.mat22f)
-    return SimpleNamespace(vec=wp.vec3d if double else wp.vec3f, mat=wp.mat33d if double else wp.mat33f)
+        vec, mat = (wp.vec2d, wp.mat22d) if double else (wp.vec2f, wp.mat22f)
+        return SimpleNamespace(vec=vec, mat=mat, whole=wp.vec2i)
+    vec, mat = (wp.vec3d, wp.mat33d) if double else (wp.vec3f, wp.mat33f)
+    return SimpleNamespace(vec=vec, mat=mat, whole=wp.vec3i)
 
 
 @functools.cache

@@ -1,38 +1,59 @@
 """Forces on the faces of a grid, and the matrix of their implicit change.
 
-Stretch in cells and shear at corners are what moves each face: forces are derivatives of one dissipation, so that what
-a face loses its neighbours win, whatever the viscosity does between them.
+Stretch in cells and shear at edges are what moves each face: forces are derivatives of one dissipation, so that what a
+face loses its neighbours win, whatever the viscosity does between them.
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
 from ...common.control import HALTED
-from ..structs import array_structs, row_place
+from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
-from .cells import FORCE, INSIDE, LIQUID, OPEN, cells_struct, grid_functions, grid_structs
+from .cells import (
+    AIR,
+    FIXED,
+    FORCE,
+    INSIDE,
+    LIQUID,
+    OPEN,
+    SLIVER,
+    SMOOTH,
+    Kind,
+    cells_struct,
+    grid_functions,
+    grid_structs,
+)
 
 
 @functools.cache
-def viscosity_kernel(scalar, axial: bool, periodic: bool):
-    """Apparent viscosity of a cell and of its corner, each for the whole rate of shear there."""
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
-    f = grid_functions(scalar, axial, periodic)
-    law = bingham_functions(scalar)
+def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
+    """Kernels `rates` and `viscosity`: apparent viscosity of cells, then of edges, each for the whole rate of shear."""
+    dims, pairs = of.dimensions, of.pairs
+    Cells = cells_struct(scalar, dims)
+    Mesh = grid_structs(scalar, dims).Mesh
+    whole = mps_types(scalar, dims).whole
+    f = grid_functions(scalar, of)
+    law = bingham_functions(scalar, dims)
 
     @wp.func
-    def stretch_square(g: Cells, mesh: Mesh, i: wp.int32, k: wp.int32) -> scalar:
-        return scalar(2.0) * wp.length_sq(f.stretch(g, mesh, i, k))
+    def first(pair: wp.int32) -> wp.int32:
+        return wp.where(pair == 2, 1, 0)
 
     @wp.func
-    def change(g: Cells, mesh: Mesh, i: wp.int32, k: wp.int32, axis: wp.int32) -> scalar:
-        """Of the shear stress at a corner over a cell, smoothed aside: what swings between cells must not feed it."""
+    def second(pair: wp.int32) -> wp.int32:
+        return wp.where(pair == 0, 1, 2)
+
+    @wp.func
+    def change(g: Cells, mesh: Mesh, c: whole, axis: wp.int32) -> scalar:
+        """Of a plane's shear stress at a corner over a cell, smoothed aside: what swings between cells must not feed
+        it."""
         sum = scalar(0.0)
         for n in range(3):
-            a, b = i + (n - 1) * axis, k + (n - 1) * (1 - axis)
-            after, before = f.at(g, a + 1 - axis, b + axis), f.at(g, a - 1 + axis, b - axis)
+            beside = f.moved(c, 1 - axis, n - 1)
+            after, before = f.at(g, f.moved(beside, axis, 1)), f.at(g, f.moved(beside, axis, -1))
             sum += wp.where(n == 1, scalar(0.5), scalar(0.25)) * (mesh.stress[after] - mesh.stress[before])
         return scalar(0.5) * wp.abs(sum)
 
@@ -43,113 +64,287 @@ def viscosity_kernel(scalar, axial: bool, periodic: bool):
             return wp.sqrt(before * now)
         return now
 
+    @wp.func
+    def around(g: Cells, mesh: Mesh, c: whole, pair: wp.int32) -> scalar:
+        """Mean square of the rates at a cell's four edges of a pair, those that there are."""
+        sum = scalar(0.0)
+        count = scalar(0.0)
+        for n in range(4):
+            e = f.moved(f.moved(c, first(pair), n % 2), second(pair), n / 2)
+            rate, volume = f.shear(g, mesh, e, pair)
+            if volume > scalar(0.0):
+                sum += rate * rate
+                count += scalar(1.0)
+        return sum / wp.max(count, scalar(1.0))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def rates(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        if mesh.liquid[number] == 0 or not f.on_grid(g, c):
+            return
+        square = scalar(2.0) * wp.length_sq(f.stretch(g, mesh, c))
+        if wp.static(of.dimensions == 2):
+            mesh.besides[number] = square
+            square += around(g, mesh, c, 0)
+        else:
+            first_pair, second_pair, third = (
+                around(g, mesh, c, 0), around(g, mesh, c, 1), around(g, mesh, c, 2),
+            )  # fmt: skip
+            mesh.besides[number] = square + second_pair + third
+            mesh.besides[number + g.slots] = square + first_pair + third
+            mesh.besides[number + 2 * g.slots] = square + first_pair + second_pair
+            square += first_pair + second_pair + third
+        mesh.strain[number] = square
+        mesh.in_cell[number] = relaxed(mesh.in_cell[number], law.apparent(g, wp.sqrt(square)))
+
     @wp.kernel(enable_backward=False, module="unique")
     def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if not f.on_grid(g, i, k):
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.on_grid(g, c):
             return
-        if mesh.liquid[c] != 0:
-            sum = scalar(0.0)
-            count = scalar(0.0)
-            for a in range(2):
-                for b in range(2):
-                    rate, volume = f.shear(g, mesh, i + a, k + b)
-                    if volume > scalar(0.0):
-                        sum += rate * rate
+        for pair in range(pairs):
+            place = number + pair * g.slots
+            rate, volume = f.shear(g, mesh, c, pair)
+            if volume > scalar(0.0):
+                sum = scalar(0.0)
+                count = scalar(0.0)
+                for n in range(4):
+                    o = f.at(g, f.moved(f.moved(c, first(pair), -(n % 2)), second(pair), -(n / 2)))
+                    if mesh.liquid[o] != 0:
+                        sum += mesh.besides[o + pair * g.slots]
                         count += scalar(1.0)
-            square = stretch_square(g, mesh, i, k) + sum / wp.max(count, scalar(1.0))
-            mesh.in_cell[c] = relaxed(mesh.in_cell[c], law.apparent(g, wp.sqrt(square)))
-        rate, volume = f.shear(g, mesh, i, k)
-        if volume > scalar(0.0):
-            sum = scalar(0.0)
-            count = scalar(0.0)
-            for a in range(2):
-                for b in range(2):
-                    if mesh.liquid[f.at(g, i - a, k - b)] != 0:
-                        sum += stretch_square(g, mesh, i - a, k - b)
-                        count += scalar(1.0)
-            whole = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
-            # Beside a free surface stress varies both ways, and by what particles happen to do.
-            most = scalar(0.0)
-            if wp.static(periodic):
-                most = wp.max(change(g, mesh, i, k, 0), change(g, mesh, i, k, 1))
-            mesh.in_corner[c] = relaxed(mesh.in_corner[c], law.apparent_at_edge(g, whole, most))
+                total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
+                # Beside a free surface stress varies both ways, and by what particles happen to do.
+                most = scalar(0.0)
+                if wp.static(of.periodic and not of.cut):
+                    most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
+                mesh.in_corner[place] = relaxed(mesh.in_corner[place], law.apparent_at_edge(g, total, most))
 
-    return viscosity
+    return SimpleNamespace(rates=rates, viscosity=viscosity)
 
 
 @functools.cache
-def wall_kernel(scalar, axial: bool, periodic: bool):
-    """Stress of walls on the faces along them."""
-    Cells = cells_struct(scalar)
-    structs = grid_structs(scalar)
+def side_kernel(scalar, of: Kind):
+    """Stress of walls that are sides of a pipe's cells on the faces along them."""
+    Cells = cells_struct(scalar, 2)
+    structs = grid_structs(scalar, 2)
     Mesh, Walls = structs.Mesh, structs.Walls
-    f = grid_functions(scalar, axial, periodic)
-    law = bingham_functions(scalar)
+    f = grid_functions(scalar, of)
+    law = bingham_functions(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
     def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if not f.on_grid(g, i, k):
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.on_grid(g, c):
             return
         for axis in range(2):
-            r = c + axis * g.slots
-            for side in range(2):
-                place = c + (2 * axis + side) * g.slots
-                mesh.traction[place] = scalar(0.0)
-                mesh.growth[place] = scalar(0.0)
-                if mesh.kind[r] == LIQUID:
-                    mesh.slip[place] = mesh.velocity[r]
-                    a = i + (2 * side - 1) * axis
-                    b = k + (2 * side - 1) * (1 - axis)
-                    o = f.at(g, a, b)
+            r = number + axis * g.slots
+            mesh.rubbed[r] = scalar(0.0)
+            mesh.traction[r] = scalar(0.0)
+            mesh.growth[r] = scalar(0.0)
+            mesh.slip[r] = mesh.velocity[r]
+            if mesh.kind[r] == LIQUID:
+                for side in range(2):
+                    next = f.moved(c, 1 - axis, 2 * side - 1)
+                    o = f.at(g, next)
                     if mesh.kind[o + axis * g.slots] == INSIDE:
                         wall = mesh.solid[o]
                         if wall == OPEN:
-                            wall = mesh.solid[f.at(g, a - 1 + axis, b - axis)]
+                            wall = mesh.solid[f.at(g, f.moved(next, axis, -1))]
                         if walls.slip_viscosity[wall] >= scalar(0.0):
                             still = walls.velocity[wall][axis]
                             relative = mesh.velocity[r] - still
                             way = wp.where(relative < scalar(0.0), scalar(-1.0), scalar(1.0))
                             # A wall to the left or below slows what goes along it by a shear of the same sign.
                             turn = way * wp.where(side == 0, scalar(1.0), scalar(-1.0))
-                            width = wp.where(axis == 0, g.dz, g.dx)
+                            width = g.width[1 - axis]
                             ring = scalar(1.0)
-                            if wp.static(axial):
+                            at_wall = f.moved(c, 1 - axis, side)
+                            if wp.static(of.axial):
                                 if axis == 1:
                                     # More of a ring's area lies on its outer side.
                                     outer = wp.where(side == 1, scalar(1.0), scalar(-1.0))
-                                    radius = f.side_weight(g, i + side)
+                                    radius = f.side_weight(g, at_wall)
                                     ring -= outer * width / (scalar(6.0) * radius - outer * scalar(3.0) * width)
-                            ci = i + (1 - side) * axis
-                            ck = k + (1 - side) * (1 - axis)
-                            inner = wp.max(turn * mesh.stress[f.at(g, ci, ck)], scalar(0.0))
+                            beyond = f.at(g, f.moved(c, 1 - axis, 1 - side))
+                            inner = wp.max(turn * mesh.stress[beyond], scalar(0.0))
                             stress, growth, slip = law.at_wall(
                                 g, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall],
                                 walls.slip_yield[wall],
                             )  # fmt: skip
-                            mesh.traction[place] = way * stress
-                            mesh.growth[place] = growth
-                            mesh.slip[place] = still + way * slip
-                            mesh.stress[f.at(g, i + side * axis, k + side * (1 - axis))] = turn * stress
+                            mesh.rubbed[r] = g.width[axis] * f.side_weight(g, at_wall)
+                            mesh.traction[r] = way * stress
+                            mesh.growth[r] = growth
+                            mesh.slip[r] = still + way * slip
+                            mesh.stress[f.at(g, at_wall)] = turn * stress
 
     return wall_stress
 
 
 @functools.cache
-def momentum_kernel(scalar, serial: bool, axial: bool, periodic: bool):
+def wall_kernel(scalar, of: Kind):
+    """Stress of walls that pass through cells on the faces beside them."""
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Walls, Geometry = structs.Mesh, structs.Walls, structs.Geometry
+    t = mps_types(scalar, dims)
+    whole = t.whole
+    f = grid_functions(scalar, of)
+    law = bingham_functions(scalar, dims)
+
+    @wp.func
+    def aside(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
+        """Velocity along another axis at the middle of a face, of the faces around that have one."""
+        sum = scalar(0.0)
+        count = scalar(0.0)
+        for n in range(4):
+            r = f.at(g, f.moved(f.moved(c, axis, -(n % 2)), other, n / 2)) + other * g.slots
+            if mesh.kind[r] == LIQUID:
+                sum += mesh.velocity[r]
+                count += scalar(1.0)
+        return sum / wp.max(count, scalar(1.0))
+
+    @wp.func
+    def sheared(mesh: Mesh, cell: wp.int32) -> scalar:
+        """Shear stress in a cell [Pa]; none in the air."""
+        if mesh.liquid[cell] == 0:
+            return scalar(0.0)
+        return mesh.in_cell[cell] * wp.sqrt(mesh.strain[cell])
+
+    @wp.func
+    def smooth(g: Cells, mesh: Mesh, c: whole, axis: wp.int32) -> wp.bool:
+        """Is a face within a wall that nothing rubs on?"""
+        return mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[f.at(g, f.moved(c, axis, -1))] == SMOOTH
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Mesh):
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.on_grid(g, c):
+            return
+        for axis in range(dims):
+            r = number + axis * g.slots
+            mesh.rubbed[r] = scalar(0.0)
+            mesh.traction[r] = scalar(0.0)
+            mesh.growth[r] = scalar(0.0)
+            mesh.slip[r] = mesh.velocity[r]
+            wall = geometry.surface[r]
+            gap = geometry.gap[r]
+            if mesh.kind[r] == LIQUID and walls.slip_viscosity[wall] >= scalar(0.0):
+                area = scalar(0.0)  # of wall that the face looks at along the axes
+                steep = scalar(0.0)
+                inner = scalar(0.0)
+                far = scalar(0.0)
+                x = f.face_middle(g, c, axis)
+                still = f.wall_speed(walls, wall, x, axis)
+                relative = mesh.velocity[r] - still
+                way = wp.where(relative < scalar(0.0), scalar(-1.0), scalar(1.0))
+                for b in range(dims):
+                    for side in range(2):
+                        next = f.moved(c, b, 2 * side - 1)
+                        o = f.at(g, next) + axis * g.slots
+                        kind = mesh.kind[o]
+                        # A wall across the face's own way stretches what is before it.
+                        hidden = kind != LIQUID and kind != AIR and (b != axis or kind != FIXED)
+                        if hidden and not smooth(g, mesh, next, axis):
+                            # The wall's normal has this share along the axis.
+                            share = wp.clamp((gap - geometry.gap[o]) / g.width[b], scalar(0.0), scalar(1.0))
+                            weight = f.cell_weight(g, c)
+                            if wp.static(of.axial):
+                                if axis == 0:
+                                    weight = f.side_weight(g, c)
+                                if axis == 1 and b == 0:
+                                    weight = f.side_weight(g, f.moved(c, 0, side))
+                            area += share * weight * f.block(g) / g.width[b]
+                            if share >= steep:
+                                # Stress a cell further from the wall: what there is of it, whichever way it acts.
+                                steep = share
+                                ahead = f.moved(c, b, 1 - 2 * side)
+                                inner = scalar(0.5) * (
+                                    sheared(mesh, f.at(g, ahead)) + sheared(mesh, f.at(g, f.moved(ahead, axis, -1)))
+                                )
+                                far = gap + share * g.width[b]
+                if area > scalar(0.0):
+                    far = wp.max(far, scalar(1.01) * gap)
+                    square = relative * relative
+                    for b in range(dims):
+                        if b != axis:
+                            other = aside(g, mesh, c, axis, b) - f.wall_speed(walls, wall, x, b)
+                            square += other * other
+                    speed = wp.sqrt(square)
+                    stress, growth, slip = law.near_wall(
+                        g, speed, gap, inner, far, walls.slip_viscosity[wall], walls.slip_yield[wall]
+                    )
+                    mesh.rubbed[r] = area
+                    mesh.traction[r] = way * stress
+                    mesh.growth[r] = growth
+                    mesh.slip[r] = still + way * slip
+                    if speed > scalar(0.0):
+                        # Along the velocity stress grows as the law has it, aside as its direction turns.
+                        part = relative / speed
+                        mesh.traction[r] = part * stress
+                        mesh.growth[r] = part * part * growth + (scalar(1.0) - part * part) * stress / speed
+                        mesh.slip[r] = still + part * slip
+
+    return wall_stress
+
+
+@functools.cache
+def sliver_kernel(scalar, of: Kind):
+    """Velocities of faces of which only the rim is outside a wall, from those beside them; a task a slot."""
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
+    f = grid_functions(scalar, of)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def slivers(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.on_grid(g, c):
+            return
+        for axis in range(dims):
+            r = number + axis * g.slots
+            if mesh.kind[r] == SLIVER:
+                sum = scalar(0.0)
+                count = scalar(0.0)
+                for n in range(2 * dims):
+                    o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1)) + axis * g.slots
+                    if mesh.kind[o] == LIQUID:
+                        # What is open of the face lies at about this distance from the wall.
+                        here = scalar(0.5) * geometry.part[r] * g.width[n / 2]
+                        share = wp.min(here / geometry.gap[o], scalar(1.0))
+                        sum += mesh.slip[o] + share * (mesh.velocity[o] - mesh.slip[o])
+                        count += scalar(1.0)
+                mesh.velocity[r] = sum / wp.max(count, scalar(1.0))
+
+    return slivers
+
+
+@functools.cache
+def momentum_kernel(scalar, serial: bool, of: Kind):
     """Forces on the faces at the known velocities, and rows of the matrix of their implicit change."""
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    Mesh = grid_structs(scalar, dims).Mesh
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
-    f = grid_functions(scalar, axial, periodic)
+    f = grid_functions(scalar, of)
     entry = row_place(serial)
 
     @wp.func
@@ -168,76 +363,83 @@ def momentum_kernel(scalar, serial: bool, axial: bool, periodic: bool):
     def momentum(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, viscous: Solve):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        rows = 2 * g.slots
-        if f.on_grid(g, i, k):
-            corner_rate, corner_volume = f.shear(g, mesh, i, k)
-            if corner_volume > scalar(0.0):
-                # Half the way: what takes this stress into account is of the next step, and would swing.
-                mesh.stress[c] = scalar(0.5) * (mesh.stress[c] + corner_rate * mesh.in_corner[c])
-        for axis in range(2):
-            r = c + axis * g.slots
+        number = wp.tid()
+        c = f.cell(g, number)
+        rows = dims * g.slots
+        within = f.on_grid(g, c)
+        if wp.static(not of.cut):
+            if within:
+                edge_rate, edge_volume = f.shear(g, mesh, c, 0)
+                if edge_volume > scalar(0.0):
+                    # Half the way: what takes this stress into account is of the next step, and would swing.
+                    mesh.stress[number] = scalar(0.5) * (mesh.stress[number] + edge_rate * mesh.in_corner[number])
+        for axis in range(dims):
+            r = number + axis * g.slots
             count = wp.int32(0)
             diagonal = scalar(0.0)
             force = scalar(0.0)
-            unknown = f.on_grid(g, i, k) and mesh.kind[r] == LIQUID
+            unknown = within and mesh.kind[r] == LIQUID
             if unknown:
                 volume = mesh.volume[r]
                 mesh.start[r] = mesh.velocity[r]
-                low = f.at(g, i - 1 + axis, k - axis)
+                low = f.at(g, f.moved(c, axis, -1))
                 diagonal = g.density * volume / g.dt
-                force = f.face_area(g, i, axis) * (mesh.pressure[low] - mesh.pressure[c])
-                if axis == 1:
-                    force -= volume * g.density * g.gravity
-                    if wp.static(periodic):
+                force = f.face_area(g, c, axis) * (mesh.pressure[low] - mesh.pressure[number])
+                force += volume * g.density * g.gravity[axis]
+                if wp.static(of.periodic):
+                    if axis == wp.static(of.dimensions - 1):
                         force += volume * scalar(mesh.drive[FORCE])
-                along = wp.where(axis == 0, g.dx, g.dz)
-                across = wp.where(axis == 0, g.dz, g.dx)
-                for side in range(2):
-                    way = wp.where(side == 0, scalar(1.0), scalar(-1.0))
-                    step = 2 * side - 1
-                    # Stretch of the cell on this side.
-                    a = i - (1 - side) * (1 - axis)
-                    b = k - (1 - side) * axis
-                    o = f.at(g, a, b)
-                    if mesh.liquid[o] != 0:
-                        both = scalar(2.0) * mesh.fill[o] * f.cell_volume(g, a) * mesh.in_cell[o]
-                        rates = f.stretch(g, mesh, a, b)
-                        force -= both * way * rates[axis] / along
-                        own = both / (along * along)
-                        other = own
-                        if wp.static(axial):
-                            if axis == 0:
-                                half = scalar(0.5) / f.cell_weight(g, a)
-                                force -= both * rates[2] * half
-                                own += both * half * half
-                                other -= both * half * half
-                        diagonal += own
-                        next = f.at(g, i + step * (1 - axis), k + step * axis) + axis * g.slots
-                        count = put(mesh, matrix, rows, r, count, next, other)
-                    # Shear of the corner at this end.
-                    a = i + side * axis
-                    b = k + side * (1 - axis)
-                    rate, wet = f.shear(g, mesh, a, b)
-                    if wet > scalar(0.0):
-                        both = wet * mesh.in_corner[f.at(g, a, b)]
-                        force -= both * way * rate / across
-                        own = both / (across * across)
-                        diagonal += own
-                        next = f.at(g, i + step * axis, k + step * (1 - axis)) + axis * g.slots
-                        count = put(mesh, matrix, rows, r, count, next, own)
-                        cross = way * both / (g.dx * g.dz)
-                        other_axis = (1 - axis) * g.slots
-                        count = put(mesh, matrix, rows, r, count, f.at(g, a, b) + other_axis, -cross)
-                        next = f.at(g, a - (1 - axis), b - axis) + other_axis
-                        count = put(mesh, matrix, rows, r, count, next, cross)
-                    # The wall along this end.
-                    place = c + (2 * axis + side) * g.slots
-                    if mesh.growth[place] > scalar(0.0):
-                        area = scalar(0.5) * (mesh.fill[low] + mesh.fill[c]) * along * f.side_weight(g, a)
-                        force -= area * mesh.traction[place]
-                        diagonal += area * mesh.growth[place]
+                for b in range(dims):
+                    for side in range(2):
+                        way = wp.where(side == 0, scalar(1.0), scalar(-1.0))
+                        next = f.at(g, f.moved(c, b, 2 * side - 1)) + axis * g.slots
+                        if b == axis:
+                            # Stretch of the cell on this side.
+                            along = g.width[axis]
+                            cell = f.moved(c, axis, side - 1)
+                            o = f.at(g, cell)
+                            if mesh.liquid[o] != 0:
+                                both = scalar(2.0) * mesh.fill[o] * f.cell_volume(g, cell) * mesh.in_cell[o]
+                                rates = f.stretch(g, mesh, cell)
+                                own = scalar(0.0)
+                                other = scalar(0.0)
+                                if f.known(mesh.kind[next]):
+                                    force -= both * way * rates[axis] / along
+                                    own = both / (along * along)
+                                    other = own
+                                if wp.static(of.axial):
+                                    if axis == 0:
+                                        half = scalar(0.5) / f.cell_weight(g, cell)
+                                        if not f.known(mesh.kind[next]):
+                                            half = scalar(2.0) * half
+                                        else:
+                                            other -= both * half * half
+                                        force -= both * rates[2] * half
+                                        own += both * half * half
+                                diagonal += own
+                                if other != scalar(0.0):
+                                    count = put(mesh, matrix, rows, r, count, next, other)
+                        else:
+                            # Shear of the edge at this end.
+                            across = g.width[b]
+                            edge = f.moved(c, b, side)
+                            pair = axis + b - 1
+                            rate, wet = f.shear(g, mesh, edge, pair)
+                            if wet > scalar(0.0):
+                                e = f.at(g, edge)
+                                both = wet * mesh.in_corner[e + pair * g.slots]
+                                force -= both * way * rate / across
+                                own = both / (across * across)
+                                diagonal += own
+                                count = put(mesh, matrix, rows, r, count, next, own)
+                                cross = way * both / (across * g.width[axis])
+                                other_axis = b * g.slots
+                                count = put(mesh, matrix, rows, r, count, e + other_axis, -cross)
+                                behind = f.at(g, f.moved(edge, axis, -1)) + other_axis
+                                count = put(mesh, matrix, rows, r, count, behind, cross)
+                area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.rubbed[r]
+                force -= area * mesh.traction[r]
+                diagonal += area * mesh.growth[r]
             matrix.free[r] = wp.where(unknown, 0, 1)
             matrix.near_count[r] = count
             matrix.diagonal[r] = diagonal

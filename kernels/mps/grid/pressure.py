@@ -8,142 +8,153 @@ import warp as wp
 from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import array_structs, row_place
-from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, cells_struct, grid_functions, grid_structs
+from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, Kind, cells_struct, grid_functions, grid_structs
 
 CORRECTED = 0.1
 """Part of what is too much or too little in a cell that a step takes away."""
 
 
 @functools.cache
-def pressure_kernels(scalar, serial: bool, axial: bool, periodic: bool) -> SimpleNamespace:
+def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
     """Kernels `divergence` before the solve, `project` after it, a task a slot each."""
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
-    f = grid_functions(scalar, axial, periodic)
+    f = grid_functions(scalar, of)
     entry = row_place(serial)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def divergence(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, projection: Solve):
+    def divergence(
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, matrix: Matrix, projection: Solve
+    ):
         """Volume that flows into a cell, and its row of the matrix of the pressure's increment."""
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
+        number = wp.tid()
+        c = f.cell(g, number)
         count = wp.int32(0)
         diagonal = scalar(0.0)
         into = scalar(0.0)
-        mesh.increment[c] = scalar(0.0)
-        liquid = mesh.liquid[c]
+        mesh.increment[number] = scalar(0.0)
+        liquid = mesh.liquid[number]
         if liquid != 0:
-            for axis in range(2):
+            for axis in range(dims):
                 for side in range(2):
-                    a = i + side * (1 - axis)
-                    b = k + side * axis
-                    r = f.at(g, a, b) + axis * g.slots
-                    area = f.face_area(g, a, axis)
-                    into += wp.where(side == 0, area, -area) * mesh.velocity[r]
-                    if mesh.kind[r] == LIQUID:
-                        ease = area * area / mesh.volume[r]
+                    face = f.moved(c, axis, side)
+                    r = f.at(g, face) + axis * g.slots
+                    kind = mesh.kind[r]
+                    area = f.face_area(g, face, axis)
+                    open = area
+                    if wp.static(of.cut):
+                        open = area * geometry.part[r]
+                    if f.flows(kind) or wp.static(not of.cut):
+                        into += wp.where(side == 0, open, -open) * mesh.velocity[r]
+                    if f.flows(kind):
+                        ease = open * area / mesh.volume[r]
                         diagonal += ease
-                        next = f.at(g, i + (2 * side - 1) * (1 - axis), k + (2 * side - 1) * axis)
+                        next = f.at(g, f.moved(c, axis, 2 * side - 1))
                         if mesh.liquid[next] != 0:
-                            place = entry(c, count, g.slots, matrix.near_capacity)
+                            place = entry(number, count, g.slots, matrix.near_capacity)
                             matrix.near[place] = next
                             matrix.coefficient[place] = ease
                             count += 1
-        matrix.free[c] = 1 - liquid
-        matrix.near_count[c] = count
-        matrix.diagonal[c] = diagonal
-        projection.residual[c] = g.density / g.dt * into
+        matrix.free[number] = 1 - liquid
+        matrix.near_count[number] = count
+        matrix.diagonal[number] = diagonal
+        projection.residual[number] = g.density / g.dt * into
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
         """Velocities without divergence; the pressure of this step."""
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if not f.on_grid(g, i, k):
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.on_grid(g, c):
             return
-        for axis in range(2):
-            r = c + axis * g.slots
-            if mesh.kind[r] == LIQUID:
-                for side in range(2):  # what walls did bear in the end
-                    place = c + (2 * axis + side) * g.slots
-                    change = mesh.growth[place] * (mesh.velocity[r] - mesh.start[r])
-                    mesh.traction[place] = mesh.traction[place] + change
-                rise = mesh.increment[c] - mesh.increment[f.at(g, i - 1 + axis, k - axis)]
-                ease = g.dt / g.density * f.face_area(g, i, axis) / mesh.volume[r]
+        for axis in range(dims):
+            r = number + axis * g.slots
+            kind = mesh.kind[r]
+            if kind == LIQUID:  # what walls did bear in the end
+                mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
+            if f.flows(kind):
+                rise = mesh.increment[number] - mesh.increment[f.at(g, f.moved(c, axis, -1))]
+                ease = g.dt / g.density * f.face_area(g, c, axis) / mesh.volume[r]
                 mesh.velocity[r] = mesh.velocity[r] - ease * rise
-        mesh.pressure[c] = wp.where(mesh.liquid[c] != 0, mesh.pressure[c] + mesh.increment[c], scalar(0.0))
+        mesh.pressure[number] = wp.where(
+            mesh.liquid[number] != 0, mesh.pressure[number] + mesh.increment[number], scalar(0.0)
+        )
 
     return SimpleNamespace(divergence=divergence, project=project)
 
 
 @functools.cache
-def crowd_kernels(scalar, axial: bool) -> SimpleNamespace:
+def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
     """Kernels `source` and `disperse`, before and after a solve with the matrix of the pressure, a task a slot each.
 
     Particles drift together and apart, as no divergence in the cells does not keep them; a part of what is too much or
     too little is taken away by a displacement that no velocity feels.
     """
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
     Solve = array_structs(scalar, 2).NumberSolve
-    f = grid_functions(scalar, axial, False)
+    f = grid_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def source(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, projection: Solve):
+    def source(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, projection: Solve):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        mesh.potential[c] = scalar(0.0)
+        number = wp.tid()
+        c = f.cell(g, number)
+        mesh.potential[number] = scalar(0.0)
         excess = scalar(0.0)
-        if mesh.liquid[c] != 0:
-            excess = mesh.crowd[c] - scalar(1.0)
+        if mesh.liquid[number] != 0:
+            excess = mesh.crowd[number] - scalar(1.0)
             if excess < scalar(0.0):
                 # Less than full may be the surface's right.
-                for n in range(5):
-                    a = wp.where(n == 1, 1, 0) - wp.where(n == 2, 1, 0)
-                    b = wp.where(n == 3, 1, 0) - wp.where(n == 4, 1, 0)
-                    o = f.at(g, i + a, k + b)
+                if mesh.fill[number] < scalar(1.0):
+                    excess = scalar(0.0)
+                for n in range(2 * dims):
+                    o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))
                     if mesh.solid[o] == OPEN and mesh.fill[o] < scalar(1.0):
                         excess = scalar(0.0)
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
-            excess *= scalar(CORRECTED) * f.cell_volume(g, i) / g.dt
-        projection.residual[c] = g.density / g.dt * excess
+            excess *= scalar(CORRECTED) * geometry.room[number] * f.cell_volume(g, c) / g.dt
+        projection.residual[number] = g.density / g.dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
     def disperse(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        for axis in range(2):
-            r = c + axis * g.slots
+        number = wp.tid()
+        c = f.cell(g, number)
+        for axis in range(dims):
+            r = number + axis * g.slots
             speed = scalar(0.0)
-            if f.on_grid(g, i, k) and mesh.kind[r] == LIQUID:
-                rise = mesh.potential[c] - mesh.potential[f.at(g, i - 1 + axis, k - axis)]
-                speed = -g.dt / g.density * f.face_area(g, i, axis) / mesh.volume[r] * rise
-                width = wp.where(axis == 0, g.dx, g.dz)
-                speed = wp.clamp(speed, -scalar(0.05) * width / g.dt, scalar(0.05) * width / g.dt)
+            if f.on_grid(g, c) and f.flows(mesh.kind[r]):
+                rise = mesh.potential[number] - mesh.potential[f.at(g, f.moved(c, axis, -1))]
+                speed = -g.dt / g.density * f.face_area(g, c, axis) / mesh.volume[r] * rise
+                most = scalar(0.05) * g.width[axis] / g.dt
+                speed = wp.clamp(speed, -most, most)
             mesh.shift[r] = speed
 
     return SimpleNamespace(source=source, disperse=disperse)
 
 
 @functools.cache
-def drive_kernels(scalar) -> SimpleNamespace:
+def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Kernels that hold the mean velocity along a periodic pipe: `lacking`, or `sums` and `lacking_of_sums`; `shove`.
 
     All faces are given what the mean lacks, which is a uniform force; the next step begins with that force, and with
     what the wall will answer.
     """
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
+    Cells = cells_struct(scalar, dimensions)
+    Mesh = grid_structs(scalar, dimensions).Mesh
 
     @wp.func
     def book(g: Cells, drive: wp.array(dtype=wp.float64), mean: wp.float64):
@@ -160,7 +171,7 @@ def drive_kernels(scalar) -> SimpleNamespace:
             return
         sum = wp.float64(0.0)
         whole = wp.float64(0.0)
-        for r in range(g.slots, 2 * g.slots):
+        for r in range((dimensions - 1) * g.slots, dimensions * g.slots):
             if mesh.kind[r] == LIQUID:
                 sum += wp.float64(mesh.volume[r]) * wp.float64(mesh.velocity[r])
                 whole += wp.float64(mesh.volume[r])
@@ -173,9 +184,10 @@ def drive_kernels(scalar) -> SimpleNamespace:
         own = wp.float64(0.0)
         volume = wp.float64(0.0)
         if c < g.slots:
-            if mesh.kind[c + g.slots] == LIQUID:
-                volume = wp.float64(mesh.volume[c + g.slots])
-                own = volume * wp.float64(mesh.velocity[c + g.slots])
+            r = c + (dimensions - 1) * g.slots
+            if mesh.kind[r] == LIQUID:
+                volume = wp.float64(mesh.volume[r])
+                own = volume * wp.float64(mesh.velocity[r])
         keep(c, partial, 0, own)
         keep(c, partial, blocks, volume)
 
@@ -195,7 +207,7 @@ def drive_kernels(scalar) -> SimpleNamespace:
         """A task a slot."""
         if flags[HALTED] != 0:
             return
-        r = wp.tid() + g.slots
+        r = wp.tid() + (dimensions - 1) * g.slots
         if mesh.kind[r] == LIQUID:
             mesh.velocity[r] = mesh.velocity[r] + scalar(mesh.drive[PUSH])
 

@@ -7,17 +7,36 @@ import warp as wp
 
 from ...common.control import HALTED, STEPS
 from ..structs import mps_types
-from .cells import AIR, BIN, FIXED, GATE, INSIDE, LIQUID, OPEN, cells_struct, grid_functions, grid_structs
+from .cells import (
+    AIR,
+    BIN,
+    FIXED,
+    INSIDE,
+    LIQUID,
+    OPEN,
+    SLIVER,
+    SMOOTH,
+    Kind,
+    cells_struct,
+    grid_functions,
+    grid_structs,
+)
+
+CLEAR = wp.constant(0.02)
+"""Distance from a wall, over a cell's width, that a face has momentum of its own beyond, and that particles keep."""
 
 
 @functools.cache
-def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
-    """Kernels `clear`, `lift`, `sort`, `order` and `fill`: which particles are in which cell, which cells are full."""
-    Cells = cells_struct(scalar)
-    structs = grid_structs(scalar)
-    Particles, Mesh = structs.Particles, structs.Mesh
-    f = grid_functions(scalar, axial, periodic)
-    vec = mps_types(scalar, 2).vec
+def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
+    """Kernels `clear`, `sort`, `order` and `fill`: which particles are in which cell, which cells are full."""
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    f = grid_functions(scalar, of)
+    t = mps_types(scalar, dims)
+    vec, whole = t.vec, t.whole
+    around = 3**dims
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
@@ -25,20 +44,13 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         mesh.count[wp.tid()] = 0
 
     @wp.kernel(enable_backward=False, module="unique")
-    def lift(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a slot: a gate's cells open when their time has come."""
-        if flags[HALTED] != 0:
-            return
-        c = wp.tid()
-        if mesh.solid[c] == GATE and scalar(flags[STEPS]) * g.dt >= mesh.opens[c]:
-            mesh.solid[c] = OPEN
-
-    @wp.kernel(enable_backward=False, module="unique")
     def sort(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
         """A task a particle: into its cell's bin."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
+        if particles.mass[p] == scalar(0.0):
+            return
         c = f.cell_of(g, particles.position[p])
         place = wp.atomic_add(mesh.count, c, 1)
         if place < BIN:
@@ -49,13 +61,12 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         """A task a slot: particles of a cell in the order of their numbers, for equal sums."""
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if i < 0 or k < 0 or i >= g.nx or k >= g.nz:
+        number = wp.tid()
+        if not f.in_grid(g, f.cell(g, number)):
             return
-        count = wp.min(mesh.count[c], BIN)
-        mesh.count[c] = count
-        begin = c * BIN
+        count = wp.min(mesh.count[number], BIN)
+        mesh.count[number] = count
+        begin = number * BIN
         for a in range(1, count):
             own = mesh.bin[begin + a]
             b = a
@@ -65,7 +76,7 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
             mesh.bin[begin + b] = own
 
     @wp.kernel(enable_backward=False, module="unique")
-    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
+    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Mesh):
         """A task a slot: how much of a cell concrete fills, by the particles around its middle.
 
         A flat surface spreads over two cells; half as steep again, and cut at nothing and all, it holds as much, and
@@ -73,111 +84,170 @@ def bin_kernels(scalar, axial: bool, periodic: bool) -> SimpleNamespace:
         """
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if i < 0 or k < 0 or i >= g.nx or k >= g.nz:
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.in_grid(g, c):
             return
         part = scalar(0.0)
         crowd = scalar(1.0)
-        if mesh.solid[c] == OPEN:
-            place = vec(g.left + (scalar(i) + scalar(0.5)) * g.dx, (scalar(k) + scalar(0.5)) * g.dz)
+        if mesh.solid[number] == OPEN:
+            place = vec()
+            for b in range(dims):
+                place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
             sum = scalar(0.0)
-            room = scalar(0.0)
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    o = f.at(g, i + a, k + b)
-                    if mesh.solid[o] == OPEN:
-                        share = wp.where(a == 0, scalar(0.75), scalar(0.125)) * (
-                            wp.where(b == 0, scalar(0.75), scalar(0.125))
-                        )
-                        room += share * f.cell_volume(g, i + a)
-                        if i + a >= 0 and i + a < g.nx and k + b < g.nz:
-                            for n in range(mesh.count[o]):
-                                p = mesh.bin[o * BIN + n]
-                                d = particles.position[p] - place
-                                near = (scalar(1.0) - wp.abs(d[0]) / g.dx) * (scalar(1.0) - wp.abs(d[1]) / g.dz)
-                                if wp.abs(d[0]) < g.dx and wp.abs(d[1]) < g.dz:
-                                    sum += near * particles.mass[p]
-            crowd = sum * g.volume / room
+            for n in range(around):
+                o = whole()
+                rest = n
+                for b in range(dims):
+                    o[b] = c[b] + rest % 3 - 1
+                    rest = rest / 3
+                if f.in_grid(g, o):
+                    other = f.at(g, o)
+                    for k in range(mesh.count[other]):
+                        p = mesh.bin[other * BIN + k]
+                        d = particles.position[p] - place
+                        near = scalar(1.0)
+                        for b in range(dims):
+                            near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+                        sum += near * particles.mass[p]
+            crowd = sum * g.volume / geometry.hold[number]
             part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
-        mesh.crowd[c] = crowd
-        mesh.fill[c] = part
-        mesh.liquid[c] = wp.where(part > scalar(0.0), 1, 0)
+        mesh.crowd[number] = crowd
+        mesh.fill[number] = part
+        mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)
 
-    return SimpleNamespace(clear=clear, lift=lift, sort=sort, order=order, fill=fill)
+    return SimpleNamespace(clear=clear, sort=sort, order=order, fill=fill)
 
 
 @functools.cache
-def gather_kernel(scalar, axial: bool, periodic: bool):
+def lift_kernel(scalar, of: Kind):
+    """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def lift(
+        g: Cells, flags: wp.array(dtype=wp.int32), after: Geometry, solid_after: wp.array(dtype=wp.int32),
+        geometry: Geometry, mesh: Mesh,
+    ):  # fmt: skip
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        if scalar(flags[STEPS]) * g.dt >= geometry.opens[c]:
+            mesh.solid[c] = solid_after[c]
+            geometry.depth[c] = after.depth[c]
+            geometry.room[c] = after.room[c]
+            geometry.hold[c] = after.hold[c]
+            for axis in range(dims):
+                r = c + axis * g.slots
+                geometry.gap[r] = after.gap[r]
+                geometry.part[r] = after.part[r]
+                geometry.shut[r] = after.shut[r]
+                geometry.surface[r] = after.surface[r]
+
+    return lift
+
+
+@functools.cache
+def gather_kernel(scalar, of: Kind):
     """Kinds and volumes of the faces, and the velocities that particles bring to them; a task a slot."""
-    vec = mps_types(scalar, 2).vec
-    Cells = cells_struct(scalar)
-    structs = grid_structs(scalar)
-    Particles, Mesh, Walls = structs.Particles, structs.Mesh, structs.Walls
-    f = grid_functions(scalar, axial, periodic)
+    dims, last = of.dimensions, of.dimensions - 1
+    t = mps_types(scalar, dims)
+    whole = t.whole
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Mesh, Geometry, Walls = structs.Particles, structs.Mesh, structs.Geometry, structs.Walls
+    f = grid_functions(scalar, of)
+    around = 2 * 3**last
 
     @wp.func
-    def kind_of(mesh: Mesh, a: wp.int32, b: wp.int32) -> wp.int32:
+    def kind_of(g: Cells, mesh: Mesh, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
         """Kind of the face between two cells."""
+        wet = mesh.liquid[a] != 0 or mesh.liquid[b] != 0
+        if wp.static(of.cut):
+            if geometry.part[r] == scalar(0.0):
+                return geometry.shut[r]
+            if not wet:
+                return AIR
+            if geometry.gap[r] > scalar(CLEAR) * g.width[axis]:
+                return LIQUID
+            return SLIVER
         if mesh.solid[a] != OPEN and mesh.solid[b] != OPEN:
             return INSIDE
         if mesh.solid[a] != OPEN or mesh.solid[b] != OPEN:
             return FIXED
-        if mesh.liquid[a] != 0 or mesh.liquid[b] != 0:
-            return LIQUID
-        return AIR
+        return wp.where(wet, LIQUID, AIR)
 
     @wp.func
-    def brought(
-        g: Cells, particles: Particles, mesh: Mesh, i: wp.int32, k: wp.int32, axis: wp.int32, before: scalar
-    ) -> scalar:
+    def brought(g: Cells, particles: Particles, mesh: Mesh, c: whole, axis: wp.int32, before: scalar) -> scalar:
         """Velocity that particles bring to a face; as `before` where there are none."""
-        half = scalar(0.5)
-        place = vec(g.left + (scalar(i) + half * scalar(axis)) * g.dx, (scalar(k) + half * scalar(1 - axis)) * g.dz)
-        whole = scalar(0.0)
+        place = f.face_middle(g, c, axis)
+        total = scalar(0.0)
         sum = scalar(0.0)
-        for a in range(wp.max(i - 1, 0), wp.min(i + axis, g.nx - 1) + 1):
-            for b in range(k - 1, k + 1 + (1 - axis)):
-                c = f.at(g, a, b)
-                for n in range(mesh.count[c]):
-                    p = mesh.bin[c * BIN + n]
+        for n in range(around):
+            o = whole()
+            rest = n / 2
+            there = wp.bool(True)
+            for b in range(dims):
+                if b == axis:
+                    o[b] = c[b] + n % 2 - 1
+                else:
+                    o[b] = c[b] + rest % 3 - 1
+                    rest = rest / 3
+                if o[b] < 0 or o[b] >= g.n[b]:
+                    if wp.static(of.periodic):
+                        there = there and b == last
+                    else:
+                        there = False
+            if there:
+                other = f.at(g, o)
+                for k in range(mesh.count[other]):
+                    p = mesh.bin[other * BIN + k]
                     d = place - particles.position[p]
-                    if wp.static(periodic):
-                        length = scalar(g.nz) * g.dz
-                        d[1] = d[1] - length * wp.round(d[1] / length)
-                    across = scalar(1.0) - wp.abs(d[0]) / g.dx
-                    along = scalar(1.0) - wp.abs(d[1]) / g.dz
-                    if across > scalar(0.0) and along > scalar(0.0):
-                        weight = across * along * particles.mass[p]
+                    if wp.static(of.periodic):
+                        length = scalar(g.n[last]) * g.width[last]
+                        d[last] = d[last] - length * wp.round(d[last] / length)
+                    weight = particles.mass[p]
+                    for b in range(dims):
+                        weight *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+                    if weight > scalar(0.0):
                         carried = particles.velocity[p] + particles.gradient[p] * d
-                        whole += weight
+                        total += weight
                         sum += weight * carried[axis]
-        if whole > scalar(0.0):
-            return sum / whole
+        if total > scalar(0.0):
+            return sum / total
         return before
 
     @wp.kernel(enable_backward=False, module="unique")
-    def gather(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, walls: Walls, mesh: Mesh):
+    def gather(
+        g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls, mesh: Mesh
+    ):
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        if wp.static(periodic):
-            if k < 0 or k >= g.nz:
+        number = wp.tid()
+        c = f.cell(g, number)
+        if wp.static(of.periodic):
+            if c[last] < 0 or c[last] >= g.n[last]:
                 return
-        for axis in range(2):
-            r = c + axis * g.slots
+        for axis in range(dims):
+            r = number + axis * g.slots
             kind = INSIDE
             volume = scalar(0.0)
-            if (axis == 0 and i >= 0) or (axis == 1 and k >= 0):
-                low = f.at(g, i - 1 + axis, k - axis)
-                kind = kind_of(mesh, low, c)
+            if c[axis] >= 0:
+                low = f.at(g, f.moved(c, axis, -1))
+                kind = kind_of(g, mesh, geometry, low, number, r, axis)
                 if kind == FIXED:
-                    mesh.velocity[r] = walls.velocity[wp.max(mesh.solid[low], mesh.solid[c])][axis]
-                if kind == LIQUID:
-                    width = wp.where(axis == 0, g.dx, g.dz)
-                    volume = scalar(0.5) * (mesh.fill[low] + mesh.fill[c]) * f.face_area(g, i, axis) * width
-                    mesh.velocity[r] = brought(g, particles, mesh, i, k, axis, mesh.velocity[r])
+                    if wp.static(of.cut):
+                        wall = geometry.surface[r]
+                        mesh.velocity[r] = f.wall_speed(walls, wall, f.face_middle(g, c, axis), axis)
+                    else:
+                        mesh.velocity[r] = walls.velocity[wp.max(mesh.solid[low], mesh.solid[number])][axis]
+                if f.flows(kind):
+                    wet = scalar(0.5) * (mesh.fill[low] + mesh.fill[number])
+                    volume = wet * f.face_area(g, c, axis) * g.width[axis]
+                    mesh.velocity[r] = brought(g, particles, mesh, c, axis, mesh.velocity[r])
             mesh.kind[r] = kind
             mesh.volume[r] = volume
 
@@ -185,53 +255,65 @@ def gather_kernel(scalar, axial: bool, periodic: bool):
 
 
 @functools.cache
-def extend_kernel(scalar, axial: bool, periodic: bool):
+def extend_kernel(scalar, of: Kind):
     """Velocities of faces in the air and within walls, from those beside them, for particles there; a task a slot.
 
     Beside a wall the velocity goes on in a straight line through that at the wall.
     """
-    Cells = cells_struct(scalar)
-    Mesh = grid_structs(scalar).Mesh
-    f = grid_functions(scalar, axial, periodic)
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
+    f = grid_functions(scalar, of)
+    whole = mps_types(scalar, dims).whole
+
+    @wp.func
+    def across(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32, r: wp.int32, o: wp.int32) -> scalar:
+        """Velocity at a face within a wall, by that at `o` and at the wall between them."""
+        share = scalar(-1.0)
+        if wp.static(of.cut):
+            share = wp.clamp(geometry.gap[r] / geometry.gap[o], scalar(-2.0), scalar(1.0))
+            if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[f.at(g, f.moved(c, axis, -1))] == SMOOTH:
+                share = scalar(1.0)
+        return mesh.slip[o] + share * (mesh.velocity[o] - mesh.slip[o])
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
-        g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, again: wp.int32, before: wp.array(dtype=scalar),
-        known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar), known_after: wp.array(dtype=wp.int32),
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, again: wp.int32,
+        before: wp.array(dtype=scalar), known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar),
+        known_after: wp.array(dtype=wp.int32),
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        c = wp.tid()
-        i, k = f.column(g, c), f.row(g, c)
-        for axis in range(2):
-            r = c + axis * g.slots
+        number = wp.tid()
+        c = f.cell(g, number)
+        for axis in range(dims):
+            r = number + axis * g.slots
             value = mesh.velocity[r]
-            good = wp.where(f.known(mesh.kind[r]), 1, 0)
+            good = wp.where(f.known(mesh.kind[r]) or f.flows(mesh.kind[r]), 1, 0)
             if again != 0:
                 value = before[r]
                 good = known_before[r]
             if good == 0:
                 sum = scalar(0.0)
-                whole = scalar(0.0)
-                for n in range(4):
-                    a = i + wp.where(n == 0, 1, 0) - wp.where(n == 1, 1, 0)
-                    b = k + wp.where(n == 2, 1, 0) - wp.where(n == 3, 1, 0)
-                    if a >= -1 and a <= g.nx and b >= -1 and b <= g.nz:
-                        o = f.at(g, a, b) + axis * g.slots
+                count = scalar(0.0)
+                for n in range(2 * dims):
+                    along = n / 2
+                    by = 1 - 2 * (n % 2)
+                    if c[along] + by >= -1 and c[along] + by <= g.n[along]:
+                        o = f.at(g, f.moved(c, along, by)) + axis * g.slots
                         if again != 0:
                             if known_before[o] != 0:
                                 sum += before[o]
-                                whole += scalar(1.0)
+                                count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
-                            # The wall is to the left of its right neighbour, and so on.
-                            if mesh.kind[r] == INSIDE and ((axis == 1 and n < 2) or (axis == 0 and n > 1)):
-                                wall = f.at(g, a, b) + (2 * axis + n % 2) * g.slots
-                                sum += scalar(2.0) * mesh.slip[wall] - mesh.velocity[o]
+                            if mesh.kind[r] == INSIDE and (along != axis or wp.static(of.cut)):
+                                sum += across(g, mesh, geometry, c, axis, r, o)
                             else:
                                 sum += mesh.velocity[o]
-                            whole += scalar(1.0)
-                if whole > scalar(0.0):
-                    value = sum / whole
+                            count += scalar(1.0)
+                if count > scalar(0.0):
+                    value = sum / count
                     good = 1
             after[r] = value
             known_after[r] = good
@@ -240,89 +322,185 @@ def extend_kernel(scalar, axial: bool, periodic: bool):
 
 
 @functools.cache
-def advect_kernel(scalar, axial: bool, periodic: bool):
-    """Particles take the velocity around them and go with that of half a step later; a task a particle."""
-    t = mps_types(scalar, 2)
-    vec, mat = t.vec, t.mat
-    Cells = cells_struct(scalar)
-    structs = grid_structs(scalar)
-    Particles, Mesh = structs.Particles, structs.Mesh
-    f = grid_functions(scalar, axial, periodic)
+def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
+    """What a place has of fields on the grid, linear between points along each axis: `carry` and `clearance`."""
+    dims, last = of.dimensions, of.dimensions - 1
+    t = mps_types(scalar, dims)
+    vec, mat, whole = t.vec, t.mat, t.whole
+    Cells = cells_struct(scalar, dims)
+    Geometry = grid_structs(scalar, dims).Geometry
+    f = grid_functions(scalar, of)
+    corners = 2**dims
+
+    @wp.func
+    def corner(g: Cells, base: whole, s: vec, n: wp.int32):
+        """One of the points around a place: where it is, its weight, and the slopes of that."""
+        c = whole()
+        part = vec()
+        sign = vec()
+        bits = n
+        for b in range(dims):
+            upper = bits % 2
+            bits = bits / 2
+            c[b] = base[b] + upper
+            part[b] = wp.where(upper == 0, scalar(1.0) - s[b], s[b])
+            sign[b] = wp.where(upper == 0, scalar(-1.0), scalar(1.0)) / g.width[b]
+        weight = scalar(1.0)
+        change = sign
+        for b in range(dims):
+            weight *= part[b]
+            for d in range(dims):
+                if d != b:
+                    change[b] = change[b] * part[d]
+        return c, weight, change
 
     @wp.func
     def sample(
         g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """A component of the velocity at a place, bilinear between faces, and its slopes."""
-        across = (x[0] - g.left) / g.dx - scalar(0.5) * scalar(axis)
-        along = x[1] / g.dz - scalar(0.5) * scalar(1 - axis)
-        i = wp.clamp(wp.int32(wp.floor(across)), -1, g.nx - axis)
-        k = wp.int32(wp.floor(along))
-        if wp.static(not periodic):
-            k = wp.clamp(k, -1, g.nz - 1)
-        s = vec(across - scalar(i), along - scalar(k))
+        """A component of the velocity, its slopes, and the weight of the faces that have one."""
+        base = whole()
+        s = vec()
+        for b in range(dims):
+            half = wp.where(b == axis, scalar(0.0), scalar(0.5))
+            along = (x[b] - g.origin[b]) / g.width[b] - half
+            base[b] = wp.int32(wp.floor(along))
+            if b != last or wp.static(not of.periodic):
+                base[b] = wp.clamp(base[b], -1, g.n[b] - wp.where(b == axis, 0, 1))
+            s[b] = along - scalar(base[b])
         value = scalar(0.0)
         slope = vec()
-        whole = scalar(0.0)
-        whole_slope = vec()
-        for a in range(2):
-            for b in range(2):
-                r = f.at(g, wp.min(i + a, g.nx), k + b) + axis * g.slots
-                if good[r] != 0:
-                    part = vec(wp.where(a == 0, scalar(1.0) - s[0], s[0]), wp.where(b == 0, scalar(1.0) - s[1], s[1]))
-                    change = vec(wp.where(a == 0, -part[1], part[1]) / g.dx, wp.where(b == 0, -part[0], part[0]) / g.dz)
-                    value += part[0] * part[1] * velocity[r]
-                    whole += part[0] * part[1]
-                    slope += velocity[r] * change
-                    whole_slope += change
-        if whole > scalar(0.0):
-            value = value / whole
-        return value, slope - value * whole_slope, whole
+        total = scalar(0.0)
+        total_slope = vec()
+        for n in range(corners):
+            c, weight, change = corner(g, base, s, n)
+            for b in range(dims):
+                if b != last or wp.static(not of.periodic):
+                    c[b] = wp.min(c[b], g.n[b])
+            r = f.at(g, c) + axis * g.slots
+            if good[r] != 0:
+                value += weight * velocity[r]
+                total += weight
+                slope += velocity[r] * change
+                total_slope += change
+        if total > scalar(0.0):
+            value = value / total
+        return value, slope - value * total_slope, total
 
     @wp.func
     def carry(g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        u, du, _across = sample(g, velocity, good, x, 0)
-        w, dw, whole = sample(g, velocity, good, x, 1)
-        return vec(u, w), mat(du[0], du[1], dw[0], dw[1]), whole
+        """Velocity, its gradient, and the weight of the faces that have one; that is 0 in the air."""
+        here = vec()
+        slopes = mat()
+        total = scalar(0.0)
+        for axis in range(dims):
+            value, slope, total = sample(g, velocity, good, x, axis)
+            here[axis] = value
+            for b in range(dims):
+                slopes[axis, b] = slope[b]
+        return here, slopes, total
+
+    @wp.func
+    def clearance(g: Cells, geometry: Geometry, x: vec):
+        """Distance from the nearest wall, and its slopes."""
+        base = whole()
+        s = vec()
+        for b in range(dims):
+            along = (x[b] - g.origin[b]) / g.width[b] - scalar(0.5)
+            base[b] = wp.clamp(wp.int32(wp.floor(along)), -1, g.n[b] - 1)
+            s[b] = along - scalar(base[b])
+        value = scalar(0.0)
+        slope = vec()
+        for n in range(corners):
+            c, weight, change = corner(g, base, s, n)
+            depth = geometry.depth[f.at(g, c)]
+            value += weight * depth
+            slope += depth * change
+        return value, slope
+
+    return SimpleNamespace(carry=carry, clearance=clearance)
+
+
+@functools.cache
+def advect_kernel(scalar, of: Kind):
+    """Particles take the velocity around them and go with that of half a step later; a task a particle."""
+    dims, last = of.dimensions, of.dimensions - 1
+    t = mps_types(scalar, dims)
+    vec, whole = t.vec, t.whole
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    f = grid_functions(scalar, of)
+    at_place = sampling_functions(scalar, of)
+    carry, clearance = at_place.carry, at_place.clearance
+
+    @wp.func
+    def leaves(g: Cells, mesh: Mesh, x: vec) -> wp.bool:
+        """Has a place come through an open side of the grid?"""
+        c = whole()
+        outside = wp.bool(False)
+        for b in range(dims):
+            c[b] = wp.clamp(wp.int32(wp.floor((x[b] - g.origin[b]) / g.width[b])), -1, g.n[b])
+            if c[b] < 0 or c[b] >= g.n[b]:
+                outside = True
+        if outside:
+            return mesh.solid[f.at(g, c)] == OPEN
+        return False
 
     @wp.kernel(enable_backward=False, module="unique")
     def advect(
-        g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, velocity: wp.array(dtype=scalar),
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, velocity: wp.array(dtype=scalar),
         good: wp.array(dtype=wp.int32), particles: Particles, late: wp.array(dtype=wp.int32),
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         p = wp.tid()
+        if particles.mass[p] == scalar(0.0):
+            return
         x = particles.position[p]
-        here, slope, whole = carry(g, velocity, good, x)
-        if wp.static(not periodic):
-            if whole == scalar(0.0):  # alone in the air
-                here = particles.velocity[p] - vec(scalar(0.0), g.gravity * g.dt)
+        here, slope, total = carry(g, velocity, good, x)
+        if wp.static(not of.periodic):
+            if total == scalar(0.0):  # alone in the air
+                here = particles.velocity[p] + g.dt * g.gravity
         particles.velocity[p] = here
         particles.gradient[p] = slope
         particles.pressure[p] = mesh.pressure[f.cell_of(g, x)]
-        moving = vec(scalar(0.0), g.frame)
+        moving = vec()
+        moving[last] = g.frame
         there, _slope, ahead = carry(g, velocity, good, x + scalar(0.5) * g.dt * (here - moving))
-        if wp.static(not periodic):
+        if wp.static(not of.periodic):
             if ahead == scalar(0.0):
                 there = here
         after = x + g.dt * (there - moving)
-        if wp.static(not periodic):
+        if wp.static(not of.periodic):
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += g.dt * aside
-        if wp.static(periodic):
-            length = scalar(g.nz) * g.dz
-            after[1] = after[1] - length * wp.floor(after[1] / length)
-        # Rounding and the curvature of a path may lead into a wall.
-        if mesh.solid[f.cell_of(g, vec(after[0], x[1]))] != OPEN:
-            after[0] = x[0]
-        if mesh.solid[f.cell_of(g, after)] != OPEN:
-            after[1] = x[1]
-        little = scalar(1.0e-3)
-        after[0] = wp.clamp(after[0], g.left + little * g.dx, g.left + (scalar(g.nx) - little) * g.dx)
-        if wp.static(not periodic):
-            after[1] = wp.clamp(after[1], little * g.dz, (scalar(g.nz) - little) * g.dz)
-        if not (wp.abs(here[0]) + wp.abs(here[1]) < scalar(1.0e6)):
+        if wp.static(of.periodic):
+            length = scalar(g.n[last]) * g.width[last]
+            after[last] = after[last] - length * wp.floor(after[last] / length)
+        if wp.static(of.cut):
+            # Rounding and the curvature of a path may lead into a wall.
+            for _ in range(2):
+                gap, outward = clearance(g, geometry, after)
+                steep = wp.length(outward)
+                if gap < scalar(CLEAR) * g.width[0] and steep > scalar(0.1):
+                    after += wp.min(scalar(CLEAR) * g.width[0] - gap, g.width[0]) / (steep * steep) * outward
+        gone = wp.bool(False)
+        if wp.static(of.cut and not of.periodic):
+            gone = leaves(g, mesh, after)
+        if gone:
+            particles.mass[p] = scalar(0.0)
+        else:
+            little = scalar(1.0e-3)
+            for b in range(dims):
+                if b != last or wp.static(not of.periodic):
+                    low = g.origin[b] + little * g.width[b]
+                    high = g.origin[b] + (scalar(g.n[b]) - little) * g.width[b]
+                    after[b] = wp.clamp(after[b], low, high)
+        speed = scalar(0.0)
+        for b in range(dims):
+            speed += wp.abs(here[b])
+        if not (speed < scalar(1.0e6)):
             late[1] = 1
         particles.position[p] = after
 

@@ -2,78 +2,140 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from ..grid.layout import AXIS, GATE, NONE, PLATE, GridLayout
-from .scene import FreeScene, Points
+from ...kernels.mps.grid.cells import Kind
+from ..grid.geometry import (
+    BARE,
+    GATE,
+    MIRROR,
+    ROUGH,
+    WALL,
+    Distance,
+    Geometry,
+    Room,
+    geometry_of,
+    nearest_wall,
+    polygon_distance,
+    wall_distance,
+)
+from ..grid.layout import GridLayout
+from ..grid.state import STICKS
+from .scene import SIDES, FreeScene
 
-ABREAST = 3
-"""Particles of a cell across it, and as many along it: a surface needs more than a pipe does."""
-PARTS = 8
-"""Places across a cell, and as many along it, by which a polygon's part of it is found."""
-STICKS = 1e8
-"""Viscosity of a slip layer that hardly slips [Pa s/m]."""
+ABREAST = {2: 3, 3: 2}
+"""Particles of a cell along each axis, by their number: a surface needs more than a pipe does."""
+THREE = 0.125, 0.5, 0.875
+"""Where three particles lie along a cell: so, what they weigh around its middle and its neighbours' is what it is."""
+FINE = {2: 8, 3: 4}
+"""Places of a cell along each axis by which its part of the concrete is found."""
+HEAVIEST = 3.0
+"""Mass of a particle over that of a whole one, at most."""
+NEVER = 1e30
+"""When nothing opens [s]."""
 
 
-def free_cells(scene: FreeScene) -> tuple[int, int]:
-    """Cells across and up."""
+def free_cells(scene: FreeScene) -> tuple[int, ...]:
+    """Cells along each axis."""
     nx = max(4, round(scene.width / scene.spacing))
-    return nx, max(4, round(scene.height * nx / scene.width))
+    h = scene.width / nx
+    deep = (max(2, round(scene.depth / h)),) if scene.depth else ()
+    return nx, *deep, max(4, round(scene.height / h))
 
 
 def free_layout(scene: FreeScene) -> GridLayout:
-    """A vessel: plate below, a gate where something is lifted, air above and around."""
-    nx, nz = free_cells(scene)
-    h, step = scene.width / nx, scene.height / nz
-    middles = np.stack(np.meshgrid((np.arange(nx) + 0.5) * h, (np.arange(nz) + 0.5) * step), -1)
-    solid = np.full((nz + 2, nx + 2), NONE, np.int32)
-    inner = solid[1:-1, 1:-1]
-    i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
-    places = np.stack([i.ravel() * h, k.ravel() * step], 1)
-    opens = np.zeros(0)
+    """A vessel: walls, a gate where something is lifted, air above and around."""
+    cells = free_cells(scene)
+    axes = len(cells)
+    extent = (scene.width, *((scene.depth,) if scene.depth else ()), scene.height)
+    width = tuple(length / n for length, n in zip(extent, cells, strict=True))
+    room = Room(cells, width, (0.0,) * axes, _sides(scene, axes))
+    walls: list[tuple[Distance, int]] = [(polygon_distance(block), ROUGH) for block in scene.blocks]
+    walls += [(wall_distance(wall, np.array(scene.amid)), ROUGH) for wall in scene.walls]
+    shut = [*walls, (polygon_distance(scene.gate), GATE)] if scene.gate else walls
+    geometry = geometry_of(room, shut, scene.axial)
+    opened, opens = None, np.zeros(0)
     if scene.gate:
-        # Behind a gate, which is made of cells, so is the concrete.
-        filled = _filled(scene, h, step, nx, nz)
-        gate = _inside(scene.gate, middles) & ~filled
-        inner[gate] = GATE
-        opens = np.zeros(solid.shape)
-        opens[1:-1, 1:-1] = np.where(gate, middles[..., 1] / scene.lift_speed, 0.0)
-        at = (places / [h, step]).astype(int)
-        places = places[filled[at[:, 1], at[:, 0]]]
-    else:
-        places = places[_inside(scene.outline, places)]
-    solid[0], solid[:, 0], solid[:, -1] = PLATE, AXIS if scene.axial else PLATE, PLATE
+        opened = geometry_of(room, walls, scene.axial)
+        height = (np.arange(-1, cells[-1] + 1) + 0.5) * width[-1]
+        when = np.maximum(height, 0.0).reshape(-1, *[1] * (axes - 1)) / scene.lift_speed
+        opens = np.where(_differ(geometry, opened), when, NEVER)
+    abreast = ABREAST[axes]
+    outline, nearest = polygon_distance(scene.outline), nearest_wall(room, shut)
+
+    def concrete(points: np.ndarray) -> np.ndarray:
+        return (outline(points) < 0) & (nearest(points)[0] > 0)
+
+    places, mass = _filled(room, abreast, concrete)
     slip = (scene.concrete.slip_viscosity, scene.concrete.slip_yield) if scene.plate_slips else (STICKS, 0.0)
     size = float(np.ptp(np.array(scene.outline), axis=0).min())
     return GridLayout(
-        cells=(nx, nz),
-        spacing=h,
-        step=step,
-        left=0.0,
-        axial=scene.axial,
-        periodic=False,
-        solid=solid,
+        kind=Kind(axes, axial=scene.axial, cut=True),
+        room=room,
+        solid=geometry.solid,
         fluid=places,
-        mass=places[:, 0] / places[:, 0].mean() if scene.axial else np.ones(len(places)),
-        mark_spacing=h / ABREAST,
+        mass=mass * places[:, 0] / places[:, 0].mean() if scene.axial else mass,
+        mark_spacing=width[0] / abreast,
         slip=slip,
         speed=0.1 * float(np.sqrt(scene.gravity * size)),
         length=size,
+        geometry=geometry,
+        opened=opened,
         opens=opens,
     )
 
 
-def _inside(points: Points, places: np.ndarray) -> np.ndarray:
-    """Which places lie in a polygon."""
-    from matplotlib.path import Path
+def _filled(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Particles where there is concrete, shape (n, axes) [m], and their masses over a whole one's: those of a cell have
+    what there is of it.
+    """
+    axes = len(room.cells)
+    each = _within(room, abreast)
+    there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
+    count = there.sum(-1)
+    part = count / abreast**axes
+    # Cells that an edge may pass, and those beside them, looked at more closely.
+    edge = (part > 0) & (part < 1)
+    for axis in range(axes):
+        step = np.diff((part > 0).astype(int), axis=axis) != 0
+        for side in (slice(None, -1), slice(1, None)):
+            at = [slice(None)] * axes
+            at[axis] = side
+            edge[tuple(at)] |= step
+    chosen = np.argwhere(edge)
+    fine = _within(room, FINE[axes], chosen)
+    part[edge] = concrete(fine.reshape(-1, axes)).reshape(fine.shape[:-1]).mean(-1)
+    mass = np.where(count > 0, part * abreast**axes / np.maximum(count, 1), 0.0)
+    which = np.broadcast_to(mass[..., None], there.shape)[there]
+    return each[there], np.clip(which, 1 / HEAVIEST, HEAVIEST)
 
-    return Path(points).contains_points(places.reshape(-1, 2)).reshape(places.shape[:-1])
+
+def _within(room: Room, abreast: int, chosen: np.ndarray | None = None) -> np.ndarray:
+    """Places spread over each cell, or over `chosen` ones; shape (cells..., places, axes) [m]."""
+    axes = len(room.cells)
+    if chosen is None:
+        chosen = np.moveaxis(np.indices(room.cells), 0, -1)
+    along = np.array(THREE) if abreast == 3 else (np.arange(abreast) + 0.5) / abreast
+    inner = along[np.moveaxis(np.indices((abreast,) * axes), 0, -1).reshape(-1, axes)]
+    return np.array(room.origin) + (chosen[..., None, :] + inner) * np.array(room.width)
 
 
-def _filled(scene: FreeScene, h: float, step: float, nx: int, nz: int) -> np.ndarray:
-    """Whole cells that stand for the outline: those of which it covers more than half. Each row of a cone of them is as
-    wide as the one above or wider, so that nothing rests on a ledge."""
-    fine = np.stack(
-        np.meshgrid((np.arange(nx * PARTS) + 0.5) * h / PARTS, (np.arange(nz * PARTS) + 0.5) * step / PARTS), -1
+def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
+    """Of the room, along each of its axes."""
+    usual = {"left": MIRROR if scene.axial else WALL, "top": BARE} | dict(scene.sides)
+    pairs = SIDES if axes == 3 else (SIDES[0], SIDES[2])
+    return tuple((usual.get(lower, WALL), usual.get(upper, WALL)) for lower, upper in pairs)
+
+
+def _differ(one: Geometry, two: Geometry) -> np.ndarray:
+    """Cells of which something is not the same, shape as `solid`."""
+    faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
+    return (
+        faces.any(0)
+        | (one.room != two.room)
+        | (one.hold != two.hold)
+        | (one.depth != two.depth)
+        | (one.solid != two.solid)
     )
-    return _inside(scene.outline, fine).reshape(nz, PARTS, nx, PARTS).mean((1, 3)) > 0.5

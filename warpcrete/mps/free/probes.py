@@ -12,6 +12,7 @@ UNITS = {
     "time": "s",
     "top": "m",
     "spread": "m",
+    "inside": "1",
     "fastest": "m/s",
     "mean_speed": "m/s",
     "volume_error": "1",
@@ -22,44 +23,65 @@ UNITS = {
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Height of the concrete over each column of cells [m], and the columns' middles [m]."""
+    """Middles of the columns of cells [m], and the concrete's height over each, its mean over any depth [m]."""
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
-    return across, flow.state.cells("fill").sum(0) * layout.step
+    full = (flow.state.cells("fill") * flow.state.cells("room")).sum(0) * layout.step
+    return across, full if layout.axes == 2 else full.mean(0)
 
 
 def reach(flow: GridFlow) -> float:
     """How far the concrete has come from the axis or the left side, wherever it is widest [m]."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
     if not layout.axial:
-        return float((fill.sum(1) * layout.spacing).max())
+        return float((fill.sum(-1) * layout.spacing).max())
     radius = (np.arange(layout.cells[0]) + 0.5) * layout.spacing
     return float(np.sqrt(2 * (fill * radius).sum(1) * layout.spacing).max())
 
 
-def measured(flow: GridFlow, volume: float) -> dict[str, float]:
-    """A row of the series; `volume` is that of the concrete, of a metre's depth or a radian."""
+def volume(flow: GridFlow) -> float:
+    """Of the concrete that the cells hold, of a metre's depth, of a radian or in all."""
+    layout = flow.state.layout
+    full = flow.state.cells("fill") * flow.state.cells("room")
+    if layout.axial:
+        full = full * (np.arange(layout.cells[0]) + 0.5) * layout.spacing
+    return float(full.sum()) * float(np.prod(layout.room.width))
+
+
+def speeds(flow: GridFlow) -> np.ndarray:
+    """Of cells that are mostly full [m/s]: a little concrete in a cell of air falls, and says nothing of the rest."""
+    state, inner = flow.state, slice(1, -1)
+    velocity, axes = state.faces("velocity"), flow.state.layout.axes
+    square = np.zeros(())
+    for axis in range(axes):
+        lower, upper = [inner] * axes, [inner] * axes
+        upper[axes - 1 - axis] = slice(2, None)
+        square = square + (0.5 * (velocity[axis][tuple(lower)] + velocity[axis][tuple(upper)])) ** 2
+    return np.sqrt(square)[(state.cells("fill") > HALF) & (state.cells("room") > HALF)]
+
+
+def measured(flow: GridFlow, whole: float) -> dict[str, float]:
+    """A row of the series; `whole` is the concrete's volume at the start, of a metre's depth, of a radian or in all.
+
+    Volume is lost or won by the surface; what has left through an open side is neither.
+    """
     state, layout = flow.state, flow.state.layout
     if not flow.steps:
-        top = float(layout.fluid[:, 1].max()) + 0.5 * layout.mark_spacing
+        top = float(layout.fluid[:, -1].max()) + 0.5 * layout.mark_spacing
         far = float(layout.fluid[:, 0].max()) + 0.5 * layout.mark_spacing
-        return dict.fromkeys(UNITS, 0.0) | {"top": top, "spread": 2 * far if layout.axial else far}
-    across, height = surface(flow)
-    weight = across if layout.axial else np.ones_like(across)
-    found = float((state.cells("fill") * weight).sum()) * layout.spacing * layout.step
-    u, w = state.faces("velocity")
-    across_cell, along_cell = 0.5 * (u[1:-1, 1:-1] + u[1:-1, 2:]), 0.5 * (w[1:-1, 1:-1] + w[2:, 1:-1])
-    # A little concrete in a cell of air falls, and says nothing of the heap.
-    speed = np.hypot(across_cell, along_cell)[state.cells("fill") > HALF]
-    outcomes = flow.outcomes()
+        return dict.fromkeys(UNITS, 0.0) | {"top": top, "spread": 2 * far if layout.axial else far, "inside": 1.0}
+    _, height = surface(flow)
+    speed, outcomes = speeds(flow), flow.outcomes()
     far = reach(flow)
+    inside = float(np.sum(state.particles.mass.numpy().astype(float)) / np.sum(layout.mass))
     return {
         "time": flow.time,
         "top": float(height.max()),
         "spread": 2 * far if layout.axial else far,
+        "inside": inside,
         "fastest": float(speed.max()) if len(speed) else 0.0,
         "mean_speed": float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0,
-        "volume_error": found / volume - 1,
+        "volume_error": volume(flow) / whole - inside,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
     }

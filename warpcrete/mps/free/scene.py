@@ -11,9 +11,13 @@ import numpy as np
 from ...core.device import PRECISIONS
 from ...core.errors import between, one_of, positive, refuse
 from ...core.parameters import Above, Declared, OneOf, Within
+from ...geometry.walls import Wall
+from ..grid.geometry import BARE, MIRROR, WALL
 from ..theory import Concrete
 
-TESTS = ("slump", "none")
+TESTS = ("slump", "funnel", "lbox", "none")
+SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
+"""Of the room, along each axis."""
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon across (radius, or width) and up [m]."""
 
@@ -42,14 +46,16 @@ class FreeSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FreeScene(FreeSettings):
-    """Concrete in a vessel, about an axis or in a plane; SI units."""
+    """Concrete in a vessel, about an axis, in a plane or in space; SI units. Polygons are sections: what they are of
+    reaches through the depth.
+    """
 
     name: str
     test: str
     """Whose outcome is measured: a cone's slump and spread, or none."""
     concrete: Concrete
     axial: bool
-    """About an axis at x = 0; else in a plane, by the metre of depth."""
+    """About an axis at x = 0; else in a plane, by the metre of depth, or in space."""
     width: float
     """Of the room [m]."""
     height: float
@@ -57,13 +63,27 @@ class FreeScene(FreeSettings):
     spacing: float
     """Of the cells [m]; the nearest is taken that divides the width."""
     outline: Points
-    """Of the concrete at the start."""
+    """Of the concrete at the start, where no wall is."""
+    depth: float = 0.0
+    """Of the room [m]; 0: the flow is one in a plane, or about an axis."""
+    blocks: tuple[Points, ...] = ()
+    """Walls."""
+    walls: tuple[Wall, ...] = ()
+    """Walls of any shape in space, at rest; a closed mesh has the concrete on the side of `amid`."""
+    amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """A point of the room in which concrete may be [m]."""
+    sides: Mapping[str, str] = field(default_factory=dict)
+    """What sides of the room are, of those in SIDES: "wall", "mirror" (a plane of symmetry) or "open" (whatever comes
+    there is gone). Those that are not named are walls, but for the top, which is open, and an axis.
+    """
     gate: Points = ()
     """Of what is lifted; none: nothing holds the concrete back."""
     lift_speed: float = 0.0
     """[m/s]"""
     plate_slips: bool = False
-    """On walls and plate the concrete's slip layer acts; else it sticks."""
+    """On sides of the room the concrete's slip layer acts; else it sticks, as it does to blocks and walls: where walls
+    pass through cells aslant, slip is not yet accurate.
+    """
     published: Mapping[str, float] = field(default_factory=dict)
     """Quantities of the result that somebody printed, in SI units."""
     remarks: tuple[str, ...] = ()
@@ -75,6 +95,17 @@ class FreeScene(FreeSettings):
         one_of("test", self.test, TESTS)
         for name in ("width", "height", "spacing"):
             positive(name, getattr(self, name), "m")
+        between("depth", self.depth, 0, np.inf, "m")
+        if self.axial and self.depth:
+            refuse("depth", self.depth, "is that of a room in space, not about an axis", "take 0")
+        if self.walls and not self.depth:
+            refuse("walls", f"{len(self.walls)}", "are walls in space", "give the room a depth, or take blocks")
+        for name, kind in self.sides.items():
+            one_of("sides", name, [side for pair in SIDES for side in pair])
+            one_of(f"sides[{name}]", kind, (WALL, MIRROR, BARE))
+        for wall in self.walls:
+            if wall.motion is not None:
+                refuse(f"{wall.name}.motion", "given", "walls of a flow with a free surface stand still")
         between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
         if self.gate and not self.lift_speed:
             refuse("lift_speed", self.lift_speed, "never lifts the gate", "take some 0.1 m/s, or no gate")
@@ -83,13 +114,19 @@ class FreeScene(FreeSettings):
             refuse("spacing", self.spacing, "must leave four cells across the concrete at the start",
                    f"take {smallest / 4:.3g} m or less")  # fmt: skip
         between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
-        fall = float(np.sqrt(2 * self.gravity * np.max(np.array(self.outline)[:, 1])))
+        lowest = 0.0 if "bottom" not in self.sides else float(np.min(np.array(self.outline)[:, 1]))
+        fall = float(np.sqrt(2 * self.gravity * (np.max(np.array(self.outline)[:, 1]) - lowest)))
         if self.time_step * fall > self.spacing:
             refuse("time_step", self.time_step, f"lets concrete that falls at {fall:.3g} m/s pass more than a cell",
                    f"take {self.spacing / fall:.2g} s or less")  # fmt: skip
 
+    @property
+    def form(self) -> str:
+        """In words."""
+        return "about an axis" if self.axial else "in space" if self.depth else "in a plane"
+
     def __repr__(self) -> str:
         return (
-            f"<FreeScene {self.name!r}: {self.concrete.name}, {'about an axis' if self.axial else 'in a plane'}, "
+            f"<FreeScene {self.name!r}: {self.concrete.name}, {self.form}, "
             f"{self.width:g} m wide, spacing {self.spacing:g} m>"
         )

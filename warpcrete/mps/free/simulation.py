@@ -97,9 +97,11 @@ class FreeSimulation(FlowRun):
             "simulated_time": quantity(flow.time, "s"),
             "steps": flow.steps,
             "particles": flow.count,
-            "cells": layout.cells[0] * layout.cells[1],
+            "cells": math.prod(layout.cells),
             "spacing": quantity(layout.spacing, "m"),
-            "volume": quantity(self.volume * (2 * math.pi if scene.axial else 1.0), "m3" if scene.axial else "m2"),
+            "volume": quantity(
+                self.volume * (2 * math.pi if scene.axial else 1.0), "m3" if scene.axial or scene.depth else "m2"
+            ),
         }
         if len(rows) > 1:
             result |= results_of(QUANTITIES, Known(scene, series, self.volume))

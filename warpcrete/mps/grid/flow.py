@@ -28,10 +28,9 @@ from ...kernels.mps.conjugate_gradient import (
     parallel_start,
     serial_solver,
 )
-from ...kernels.mps.grid.cells import PRESSURE_NEIGHBOURS, VELOCITY_NEIGHBOURS
-from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernel, wall_kernel
+from ...kernels.mps.grid.forces import momentum_kernel, side_kernel, sliver_kernel, viscosity_kernels, wall_kernel
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
-from ...kernels.mps.grid.transfer import advect_kernel, bin_kernels, extend_kernel, gather_kernel
+from ...kernels.mps.grid.transfer import advect_kernel, bin_kernels, extend_kernel, gather_kernel, lift_kernel
 from ...kernels.mps.motion import finish
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
@@ -78,15 +77,18 @@ class GridFlow:
         self.parallel = parallel(self.device)
         self.scalar, self.count = state.scalar, state.count
         self.flags, self.particles, self.mesh, self.walls = state.flags, state.particles, state.mesh, state.walls
+        self.geometry, self.solid_after = state.geometry, state.solid_after
         self.g = grid_numbers(state)
         self._launcher = Launcher(1, self.device)
-        self.viscous = self._system(2 * state.slots, VELOCITY_NEIGHBOURS)
-        self.projection = self._system(state.slots, PRESSURE_NEIGHBOURS)
+        self.full = state.layout.full or state.layout.periodic
+        kind, faces = state.layout.kind, state.layout.axes * state.slots
+        self.viscous = self._system(faces, kind.velocity_neighbours)
+        self.projection = self._system(state.slots, kind.pressure_neighbours)
         # The same matrix once more, for what moves particles off crowds; a full pipe has no need of it.
-        self.dispersion = None if state.layout.periodic else replace(self.projection, arrays=self._arrays(state.slots))
+        self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
-        self._carried = [wp.zeros(2 * state.slots, dtype=self.scalar, device=self.device) for _ in range(2)]
-        self._known = [wp.zeros(2 * state.slots, dtype=wp.int32, device=self.device) for _ in range(2)]
+        self._carried = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
+        self._known = [wp.zeros(faces, dtype=wp.int32, device=self.device) for _ in range(2)]
         self.time = 0.0
         self.steps = 0
         self._step: Step | None = None
@@ -119,16 +121,15 @@ class GridFlow:
     @property
     def counts(self) -> dict[str, int]:
         """Of what it consists of."""
-        nx, nz = self.state.layout.cells
-        return {"particles": self.count, "cells": nx * nz}
+        return {"particles": self.count, "cells": math.prod(self.state.layout.cells)}
 
     @property
     def holdings(self) -> dict[str, Any]:
         """What holds its memory, by part."""
         systems = self._systems.values()
         return {
-            "particles": self.particles, "grid": self.mesh, "matrix": [system.matrix for system in systems],
-            "solves": [system.arrays for system in systems],
+            "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],
+            "matrix": [system.matrix for system in systems], "solves": [system.arrays for system in systems],
         }  # fmt: skip
 
     @property
@@ -156,35 +157,36 @@ class GridFlow:
     def _stages(self) -> list[Any]:
         slots, serial = self.state.slots, not self.parallel
         layout = self.state.layout
-        kind = layout.axial, layout.periodic
-        bins = bin_kernels(self.scalar, *kind)
-        pressure = pressure_kernels(self.scalar, serial, *kind)
+        kind, scalar = layout.kind, self.scalar
+        bins = bin_kernels(scalar, kind)
+        viscosity = viscosity_kernels(scalar, kind)
+        pressure = pressure_kernels(scalar, serial, kind)
         velocity, increment = self.mesh.velocity, self.mesh.increment
+        opening = self.stage(lift_kernel(scalar, kind), slots, after=self.state.opened) if len(layout.opens) else None
         return [
             self.stage(bins.clear, slots),
-            *([self.stage(bins.lift, slots)] if len(layout.opens) else []),
+            *([opening] if opening else []),
             self.stage(bins.sort, self.count),
             self.stage(bins.order, slots),
-            *([] if layout.periodic else [self.stage(bins.fill, slots)]),
-            self.stage(gather_kernel(self.scalar, *kind), slots),
-            self.stage(viscosity_kernel(self.scalar, *kind), slots),
-            self.stage(wall_kernel(self.scalar, *kind), slots),
+            *([] if self.full else [self.stage(bins.fill, slots)]),
+            self.stage(gather_kernel(scalar, kind), slots),
+            self.stage(viscosity.rates, slots),
+            self.stage(viscosity.viscosity, slots),
+            self.stage((wall_kernel if kind.cut else side_kernel)(scalar, kind), slots),
             self.stage(
-                momentum_kernel(self.scalar, serial, *kind), slots, matrix=self.viscous.matrix,
-                viscous=self.viscous.arrays,
+                momentum_kernel(scalar, serial, kind), slots, matrix=self.viscous.matrix, viscous=self.viscous.arrays,
             ),
             *self._solve(self.viscous, VISCOSITY, velocity, 0.0, VELOCITY_ERROR * self._force),
+            *([self.stage(sliver_kernel(scalar, kind), slots)] if kind.cut else []),
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(
                 self.projection, PRESSURE, increment, self.scene.tolerance,
                 max(LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length, self._rounding),
             ),
             self.stage(pressure.project, slots),
-            *(self._drive() if layout.periodic else self._disperse()),
-            *self._extend(extend_kernel(self.scalar, *kind)),
-            self.stage(
-                advect_kernel(self.scalar, *kind), self.count, velocity=self._carried[0], good=self._known[0]
-            ),
+            *(self._drive() if layout.periodic else [] if self.full else self._disperse()),
+            *self._extend(extend_kernel(scalar, kind)),
+            self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
             Stage(finish, 1, {"late": self.late, "flags": self.flags}, self.device),
         ]  # fmt: skip
 
@@ -198,18 +200,19 @@ class GridFlow:
     def _rounding(self) -> float:
         """Norm of what rounding leaves of the divergence, below which no solve comes."""
         part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
-        return part * self._force / min(self.state.layout.spacing, self.state.layout.step)
+        return part * self._force / min(self.state.layout.room.width)
 
     @property
     def _volume(self) -> float:
         """Of a cell, of a metre's depth or a radian."""
         layout = self.state.layout
-        return layout.spacing * layout.step * (layout.length if layout.axial else 1.0)
+        return math.prod(layout.room.width) * (layout.length if layout.axial else 1.0)
 
     @property
     def _size(self) -> float:
         """Norm of as many ones as there are particles' cells."""
-        return math.sqrt(max(self.count * self.state.layout.mark_spacing**2 / self.state.layout.spacing**2, 1.0))
+        layout = self.state.layout
+        return math.sqrt(max(self.count * (layout.mark_spacing / layout.spacing) ** layout.axes, 1.0))
 
     def _extend(self, kernel: Any) -> list[Stage]:
         """Velocities beyond the concrete, a cell further in each; they end in the first arrays."""
@@ -226,7 +229,7 @@ class GridFlow:
 
     def _disperse(self) -> list[Any]:
         """Particles that crowd are moved apart, with the matrix of the pressure."""
-        kernels, slots = crowd_kernels(self.scalar, self.state.layout.axial), self.state.slots
+        kernels, slots = crowd_kernels(self.scalar, self.state.layout.kind), self.state.slots
         tolerance, least = CROWDING
         absolute = least * self.scene.concrete.density / self.scene.time_step**2 * self._volume * self._size
         assert self.dispersion is not None
@@ -238,7 +241,7 @@ class GridFlow:
 
     def _drive(self) -> list[Stage]:
         """The force that holds the mean velocity."""
-        kernels, slots = drive_kernels(self.scalar), self.state.slots
+        kernels, slots = drive_kernels(self.scalar, self.state.layout.axes), self.state.slots
         shove = self.stage(kernels.shove, slots)
         if not self.parallel:
             return [self.stage(kernels.lacking, 1), shove]

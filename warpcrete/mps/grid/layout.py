@@ -7,35 +7,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...kernels.mps.grid.cells import Kind
 from ..scene import FluidScene
 from ..theory import steady
+from .geometry import BARE, MIRROR, PLATE, SMOOTH, WALL, Geometry, Room
 
 ABREAST = 2
 """Particles of a cell across it, and as many along it, in a pipe."""
-NONE, PLATE, AXIS, GATE = 0, 1, 2, 3
-"""Numbers of walls: of a pipe or vessel, of an axis or frame that nothing rubs on, of what will open."""
 
 
 @dataclass(frozen=True)
 class GridLayout:
-    """A grid at the start. Places are counted from the middle or axis, and from the lower side."""
+    """A grid at the start."""
 
-    cells: tuple[int, int]
-    """Across and along."""
-    spacing: float
-    """Width of a cell [m]."""
-    step: float
-    """Height of a cell [m]."""
-    left: float
-    """Place of the left side [m]."""
-    axial: bool
-    """About an axis, which is the left side."""
-    periodic: bool
-    """Goes on below as it ends above; else there is a free surface."""
+    kind: Kind
+    room: Room
     solid: np.ndarray
-    """Number of the wall that fills a cell, NONE in the open, frame included, shape (nz + 2, nx + 2)."""
+    """Number of the wall that fills a cell, NONE in the open, frame included, the last axis first."""
     fluid: np.ndarray
-    """Particles, shape (n, 2) [m]."""
+    """Particles, shape (n, axes) [m]."""
     mass: np.ndarray
     """Of each over the mean, shape (n,)."""
     mark_spacing: float
@@ -47,29 +37,84 @@ class GridLayout:
     length: float
     """Over which it changes [m]."""
     frame: float = 0.0
-    """Velocity of the grid along z [m/s]; mean velocity of a periodic pipe."""
+    """Velocity of the grid along the last axis [m/s]; mean velocity of a periodic pipe."""
     drive: float = 0.0
     """Force per volume at the start [N/m3]."""
     resistance: float = 0.0
     """By how much a periodic pipe's wall answers a faster mean [kg/m3/s]."""
+    geometry: Geometry | None = None
+    """Of walls that cut cells."""
+    opened: Geometry | None = None
+    """The same, once what opens has opened."""
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """When a cell of a gate opens [s], shape as `solid`; empty without gates."""
+    """When each cell takes what is in `opened` [s], shape as `solid`; empty where nothing opens."""
+    full: bool = False
+    """To the brim, and for ever: there is no surface, though it is not periodic."""
+    motions: tuple[Motion, ...] = ()
+    """Of walls with the numbers after ROUGH, which concrete sticks to."""
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Along each axis."""
+        return self.room.cells
+
+    @property
+    def axes(self) -> int:
+        """2 or 3."""
+        return len(self.room.cells)
+
+    @property
+    def axial(self) -> bool:
+        """About an axis, which is the left side."""
+        return self.kind.axial
+
+    @property
+    def periodic(self) -> bool:
+        """Goes on below as it ends above; else there is a free surface."""
+        return self.kind.periodic
+
+    @property
+    def spacing(self) -> float:
+        """Width of a cell [m]."""
+        return self.room.width[0]
+
+    @property
+    def step(self) -> float:
+        """Height of a cell [m]."""
+        return self.room.width[-1]
+
+    @property
+    def left(self) -> float:
+        """Place of the left side [m]."""
+        return self.room.origin[0]
 
     @property
     def height(self) -> float:
         """Of the grid [m]."""
-        return self.cells[1] * self.step
+        return self.cells[-1] * self.step
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Of arrays over the cells, frame included."""
-        return self.cells[1] + 2, self.cells[0] + 2
+    def shape(self) -> tuple[int, ...]:
+        """Of arrays over the cells, frame included, the last axis first."""
+        return tuple(n + 2 for n in reversed(self.cells))
 
     @property
     def volume(self) -> float:
-        """Of the mean particle, of a metre's depth or a radian."""
+        """Of the mean particle; in a plane of a metre's depth, about an axis of a radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
-        return self.mark_spacing * self.mark_spacing * (self.step / self.spacing) * radius
+        return radius * float(np.prod([self.mark_spacing * h / self.spacing for h in self.room.width]))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Of a wall along itself: a rigid body's."""
+
+    velocity: tuple[float, ...]
+    """[m/s]"""
+    spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """[rad/s]; in a plane, whose second axis is the third of space, the middle one counts."""
+    pivot: tuple[float, ...] | None = None
+    """Point that the spin is about [m]; none: the origin."""
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
@@ -86,18 +131,14 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
     dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz
     left = 0.0 if axial else -scene.radius
     solid = np.zeros((nz + 2, nx + 2), np.int32)
-    solid[:, 0] = AXIS if axial else PLATE
+    solid[:, 0] = SMOOTH if axial else PLATE
     solid[:, -1] = PLATE
     i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
     fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
     concrete = scene.concrete
     return GridLayout(
-        cells=(nx, nz),
-        spacing=dx,
-        step=dz,
-        left=left,
-        axial=axial,
-        periodic=True,
+        kind=Kind(axial=axial, periodic=True),
+        room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (BARE, BARE))),
         solid=solid,
         fluid=fluid,
         mass=fluid[:, 0] / fluid[:, 0].mean() if axial else np.ones(len(fluid)),

@@ -35,14 +35,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     momentum = mass * scene.velocity
     if flow.steps:  # before, nothing lies on the grid
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
-    traction, slip = (
-        getattr(state.mesh, name).numpy().astype(float).reshape(4, *state.shape)[2:, 1:-1]
-        for name in ("traction", "slip")
-    )
-    # Walls on the left of a channel's first column of cells, on the right of its last one, or a tube's last one.
-    sides = [(1, -2)] if layout.axial else [(0, 1), (1, -2)]
-    stress = float(np.mean([traction[side][:, column] for side, column in sides]))
-    at_wall = float(np.mean([slip[side][:, column] for side, column in sides]))
+    # The wall's faces: a channel's first and last column of cells, a tube's last one.
+    beside = [-2] if layout.axial else [1, -2]
+    stress, at_wall = (float(np.mean(state.faces(name)[1][1:-1, beside])) for name in ("traction", "slip"))
     force = gradient * layout.height * area
     change = 0.0
     if before is not None and flow.time > before["time"]:

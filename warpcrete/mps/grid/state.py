@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,20 @@ from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import BIN, DRIVE, FORCE, INSIDE, cells_struct, grid_structs
-from .layout import NONE, GridLayout
+from .geometry import NONE, ROUGH, Geometry
+from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
 """What the next step depends on."""
-ROWS = {"bin": int(BIN), "traction": 4, "growth": 4, "slip": 4, "velocity": 2, "start": 2, "volume": 2, "shift": 2}
-"""Entries for each slot of the grid, of arrays of the mesh that have more than one."""
-SLOT_BYTES = 4 * (int(BIN) + 210)
-"""Of a cell with its faces, its rows of the systems and nine particles, in single precision."""
+FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift", "gap", "part", "shut",
+         "surface")  # fmt: skip
+"""Arrays that have a row for each face; those of EDGES one for each edge, `bin` BIN a cell, the rest one."""
+EDGES = ("in_corner", "besides")
+STICKS = 1e8
+"""Viscosity of a slip layer that hardly slips [Pa s/m]."""
+SLOT_BYTES = {2: 4 * (int(BIN) + 220), 3: 4 * (int(BIN) + 480)}
+"""Of a cell with its faces, its rows of the systems and its particles, in single precision, by the number of axes."""
 
 
 class GridState:
@@ -35,6 +41,8 @@ class GridState:
     """A struct `Particles`."""
     mesh: Any
     """A struct `Mesh`."""
+    geometry: Any
+    """A struct `Geometry`; `opened` is another."""
     walls: Any
     """A struct `Walls`."""
     grains = None
@@ -43,34 +51,53 @@ class GridState:
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
         self.shape, self.count = layout.shape, len(layout.fluid)
-        self.slots = self.shape[0] * self.shape[1]
-        self.structs = grid_structs(self.scalar)
+        self.slots = int(np.prod(self.shape))
+        self.structs = grid_structs(self.scalar, layout.axes)
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         start = np.zeros_like(layout.fluid)
-        start[:, 1] = layout.frame
+        start[:, -1] = layout.frame
         self.particles = self._filled(
             self.structs.Particles, position=layout.fluid, velocity=start, mass=layout.mass, gradient=self.count,
             pressure=self.count,
         )  # fmt: skip
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = layout.drive
-        full = np.zeros(self.shape, np.int32)  # as a periodic pipe stays
-        if layout.periodic:
-            full[1:-1, 1:-1] = layout.solid[1:-1, 1:-1] == NONE
+        full = np.zeros(self.shape, np.int32)  # what is full stays so
+        if layout.periodic or layout.full:
+            full[:] = layout.solid == NONE
+            full[0] = full[-1] = 0
         full = full.ravel()
         own = {
-            "solid": layout.solid.ravel(), "kind": np.full(2 * self.slots, int(INSIDE)), "drive": drive,
-            "opens": layout.opens.ravel(), "fill": full, "liquid": full,
+            "solid": layout.solid.ravel(), "drive": drive, "fill": full, "liquid": full,
+            "kind": np.full(layout.axes * self.slots, int(INSIDE)),
         }  # fmt: skip
-        counts = {name: ROWS.get(name, 1) * self.slots for name in self.structs.Mesh.vars}
-        self.mesh = self._filled(self.structs.Mesh, **counts | own)
+        self.mesh = self._filled(self.structs.Mesh, **{name: self._rows(name) for name in self.structs.Mesh.vars} | own)
+        self.geometry = self._geometry(layout.geometry)
+        self.opened = self._geometry(layout.opened)
+        self.solid_after = wp.array(
+            (layout.opened.solid if layout.opened else np.zeros(0)).ravel(), dtype=wp.int32, device=device
+        )
         viscosity, yield_stress = layout.slip
+        none, moving = np.zeros(layout.axes), layout.motions
         self.walls = self._filled(
             self.structs.Walls,
-            velocity=np.zeros((4, 2)),
-            slip_viscosity=np.array([-1.0, viscosity, -1.0, -1.0]),
-            slip_yield=np.array([0.0, yield_stress, 0.0, 0.0]),
+            velocity=np.array([none] * (ROUGH + 1) + [m.velocity for m in moving]),
+            spin=np.array([np.zeros(3)] * (ROUGH + 1) + [m.spin for m in moving]),
+            pivot=np.array([none] * (ROUGH + 1) + [none if m.pivot is None else m.pivot for m in moving]),
+            slip_viscosity=np.array([-1.0, viscosity, -1.0, -1.0] + [STICKS] * (1 + len(moving))),
+            slip_yield=np.array([0.0, yield_stress, 0.0, 0.0] + [0.0] * (1 + len(moving))),
         )
+
+    def _rows(self, name: str) -> int:
+        """Of an array of the grid."""
+        many = {"bin": int(BIN)} | dict.fromkeys(FACES, self.layout.axes) | dict.fromkeys(EDGES, self.layout.kind.pairs)
+        return many.get(name, 1) * self.slots
+
+    def _geometry(self, found: Geometry | None) -> Any:
+        """A struct `Geometry`; without arrays where walls are sides of cells."""
+        names = [name for name in self.structs.Geometry.vars if name != "opens"]
+        given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}
+        return self._filled(self.structs.Geometry, **given, opens=self.layout.opens.ravel())
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
         """A struct of arrays: of host data, or of zeros."""
@@ -87,12 +114,16 @@ class GridState:
         return self.layout.mark_spacing
 
     def faces(self, name: str) -> np.ndarray:
-        """An array of the mesh that has rows for u and w, shape (2, nz + 2, nx + 2), in double precision."""
-        return getattr(self.mesh, name).numpy().astype(float).reshape(2, *self.shape)
+        """An array of the mesh that has rows for faces, shape (axes, *shape), in double precision."""
+        return getattr(self.mesh, name).numpy().astype(float).reshape(-1, *self.shape)
 
     def cells(self, name: str) -> np.ndarray:
-        """An array of the mesh that has a row for each cell, shape (nz, nx), in double precision."""
-        return getattr(self.mesh, name).numpy().astype(float).reshape(self.shape)[1:-1, 1:-1]
+        """An array of the mesh or the geometry that has a row for each cell, without the frame, the last axis first, in
+        double precision.
+        """
+        of = self.mesh if name in self.structs.Mesh.vars else self.geometry
+        whole = getattr(of, name).numpy().astype(float).reshape(self.shape)
+        return whole[(slice(1, -1),) * self.layout.axes]
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on."""
@@ -109,10 +140,10 @@ class GridState:
         self.flags.assign(found["flags"])
 
 
-def check_memory(cells: tuple[int, int], device: Any, precision: str) -> None:
+def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
     """Raise :class:`CapacityError` if a grid of so many cells will not fit."""
-    slots = (cells[0] + 2) * (cells[1] + 2)
-    needed = slots * SLOT_BYTES * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
+    slots = math.prod(n + 2 for n in cells)
+    needed = slots * SLOT_BYTES[len(cells)] * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
     free = memory_free(device)
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
@@ -124,16 +155,15 @@ def check_memory(cells: tuple[int, int], device: Any, precision: str) -> None:
 def grid_numbers(state: GridState) -> Any:
     """Struct of a grid's numbers for the kernels."""
     scene, layout, concrete = state.scene, state.layout, state.scene.concrete
-    g = cells_struct(state.scalar)()
+    g = cells_struct(state.scalar, layout.axes)()
+    down = [0.0] * (layout.axes - 1) + [-scene.gravity]
     values = dict(
-        nx=layout.cells[0],
-        nz=layout.cells[1],
+        n=layout.cells,
         slots=state.slots,
-        dx=layout.spacing,
-        dz=layout.step,
-        left=layout.left,
+        width=layout.room.width,
+        origin=layout.room.origin,
         frame=layout.frame,
-        gravity=scene.gravity,
+        gravity=getattr(scene, "acceleration", None) or down,
         dt=scene.time_step,
         density=concrete.density,
         viscosity=concrete.viscosity,

@@ -1,0 +1,229 @@
+"""Where walls are on a grid: signed distances of polygons and walls in space, and which parts of cells they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from ...geometry.meshes import load_closed, signed_distance
+from ...geometry.walls import MeshWall, PipeWall, PlaneWall
+from ...kernels.mps.grid.cells import FIXED, INSIDE
+
+NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
+"""Numbers of walls: of a pipe or a side of a room, of an axis or plane of symmetry that nothing rubs on, of what will
+open, of what concrete sticks to; more for walls that move."""
+WALL, MIRROR, BARE = "wall", "mirror", "open"
+"""What a side of the room is."""
+LEAST = 0.01
+"""Part of a cell or face that counts as open."""
+ALIGNED = 0.9
+"""Cosine between a wall's normal and an axis above which the wall stops what comes along that axis."""
+FINE = {2: 8, 3: 4}
+"""Places of a cell along each axis by which what is open around it is weighed; even, so that flat walls are exact."""
+LINES = 8
+"""Across a face or cell, along which its open part is found."""
+
+Distance = Callable[[np.ndarray], np.ndarray]
+"""Of points, shape (n, axes) [m]: positive where concrete may be."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Arrays over a grid and its frame, named and meant as those of the kernels' `Geometry`; shape (axes, *shape) of
+    what faces have, `shape` of the rest, the last axis first."""
+
+    solid: np.ndarray
+    """NONE, or number of the wall that fills a cell."""
+    depth: np.ndarray
+    room: np.ndarray
+    hold: np.ndarray
+    gap: np.ndarray
+    part: np.ndarray
+    shut: np.ndarray
+    surface: np.ndarray
+
+
+@dataclass(frozen=True)
+class Room:
+    """A box of cells."""
+
+    cells: tuple[int, ...]
+    width: tuple[float, ...]
+    """Of a cell along each axis [m]."""
+    origin: tuple[float, ...]
+    """Lowest corner [m]."""
+    sides: tuple[tuple[str, str], ...]
+    """Lower and upper along each axis: WALL, MIRROR or BARE."""
+
+    def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
+        """Of cells and frame, `shift` of a cell from its lowest corner; shape (cells + 2 + more, axes) [m]."""
+        along = [
+            o + (np.arange(-1, n + 1 + more) + s) * h
+            for o, n, h, s in zip(self.origin, self.cells, self.width, shift, strict=True)
+        ]
+        return np.stack(np.meshgrid(*along, indexing="ij"), -1)
+
+
+def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
+    """What walls leave of a room; `walls` with their numbers. Sides that are walls are those of number PLATE."""
+    axes, nearest = len(room.cells), nearest_wall(room, walls)
+    far = 2.0 * float(np.max(np.array(room.cells) * room.width))
+    depth, number = nearest(room.places([0.5] * axes))
+    corners = np.minimum(nearest(room.places([0.0] * axes, 1))[0], far)
+    open_part = _open(_corners(corners, range(axes)), axes)
+    mirror, index = np.zeros(depth.shape, bool), np.indices(depth.shape)
+    for axis, (lower, upper) in enumerate(room.sides):
+        for side, at in ((lower, 0), (upper, depth.shape[axis] - 1)):
+            if side == MIRROR:
+                mirror |= index[axis] == at
+    solid = np.where(mirror, SMOOTH, np.where(open_part < LEAST, number, NONE)).astype(np.int32)
+    gap, part, shut, surface = [], [], [], []
+    for axis in range(axes):
+        shift = [0.5] * axes
+        shift[axis] = 0.0
+        distance, own = nearest(room.places(shift))
+        others = [b for b in range(axes) if b != axis]
+        lowest = np.take(corners, range(depth.shape[axis]), axis)
+        share = _open(_corners(lowest, others), axes - 1)
+        below = np.roll(solid, 1, axis)
+        closed = (share < LEAST) | (solid != NONE) | (below != NONE)
+        # What a wall across the axis stops; a wall aslant has no velocity of its own across a face.
+        slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
+        beside = (solid == SMOOTH) ^ (below == SMOOTH)
+        stops = ((slope > ALIGNED) | beside) & ((solid == NONE) ^ (below == NONE))
+        gap.append(np.minimum(distance, far))
+        part.append(np.where(closed, 0.0, np.where(share > 1 - LEAST, 1.0, share)))
+        shut.append(np.where(stops, int(FIXED), int(INSIDE)))
+        surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
+    rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
+    kept = np.where(solid == NONE, np.maximum(open_part, LEAST), 0.0)
+    hold = _hold(room, corners, mirror, axial)
+    return Geometry(*(_last_first(a) for a in (solid, np.minimum(depth, far), kept, hold)), *rest)
+
+
+def nearest_wall(
+    room: Room, walls: Sequence[tuple[Distance, int]]
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Function of points, shape (..., axes) [m]: distance from the nearest wall, sides of the room included, and its
+    number.
+    """
+    everything = [*walls, *_sides(room)]
+
+    def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shape, flat = points.shape[:-1], points.reshape(-1, points.shape[-1])
+        if not everything:
+            return np.full(shape, np.inf), np.full(shape, PLATE, np.int32)
+        found = np.stack([distance(flat) for distance, _ in everything])
+        which = np.array([number for _, number in everything], np.int32)[found.argmin(0)]
+        return found.min(0).reshape(shape), which.reshape(shape)
+
+    return nearest
+
+
+def _last_first(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array.transpose())
+
+
+def _sides(room: Room) -> list[tuple[Distance, int]]:
+    """Sides of a room that are walls."""
+
+    def plane(axis: int, place: float, sign: float) -> Distance:
+        return lambda x: sign * (x[:, axis] - place)
+
+    found: list[tuple[Distance, int]] = []
+    for axis, (lower, upper) in enumerate(room.sides):
+        if lower == WALL:
+            found.append((plane(axis, room.origin[axis], 1.0), PLATE))
+        if upper == WALL:
+            found.append((plane(axis, room.origin[axis] + room.cells[axis] * room.width[axis], -1.0), PLATE))
+    return found
+
+
+def _hold(room: Room, corners: np.ndarray, mirror: np.ndarray, axial: bool) -> np.ndarray:
+    """Volume of what is open around the middle of each cell, weighted as particles there are (`fill`)."""
+    axes = len(room.cells)
+    fine = FINE[axes]
+    inner = (np.arange(fine) + 0.5) / fine
+    values = corners
+    for axis in range(axes):
+        # Values between corners: a cell's places follow one another.
+        values = np.moveaxis(values, axis, -1)
+        low, high = values[..., :-1, None], values[..., 1:, None]
+        values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
+    shut = mirror
+    for axis in range(axes):
+        shut = np.repeat(shut, fine, axis)
+    found = np.where((values > 0) & ~shut, 1.0, 0.0).astype(np.float32)
+    if axial:
+        radius = (np.arange(found.shape[0]) + 0.5) / fine * room.width[0] - room.width[0]
+        found = found * np.maximum(radius, 0.0)[:, None]
+    far = np.abs(np.concatenate([inner - 1.5, inner - 0.5, inner + 0.5]))
+    hat = np.maximum(1 - far, 0.0) / fine
+    for axis in range(axes):
+        cells = np.moveaxis(found, axis, -1)
+        cells = cells.reshape(*cells.shape[:-1], -1, fine)
+        around = np.pad(cells, [(0, 0)] * (axes - 1) + [(1, 1), (0, 0)])
+        whole = np.concatenate([around[..., :-2, :], cells, around[..., 2:, :]], -1)
+        found = np.moveaxis(whole @ hat, -1, axis)
+    return np.maximum(found, 1e-6 * float(found.max())) * float(np.prod(room.width))
+
+
+def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+    """Values at the lower and upper ends of cells along some axes, which come last, two each."""
+    for axis in axes:
+        count = values.shape[axis]
+        values = np.stack([np.take(values, range(count - 1), axis), np.take(values, range(1, count), axis)], -1)
+    return values
+
+
+def _open(corners: np.ndarray, ends: int) -> np.ndarray:
+    """Part that is open, of values linear between corners along the last `ends` axes."""
+    if ends == 1:
+        a, b = corners[..., 0], corners[..., 1]
+        high, low = np.maximum(a, b), np.minimum(a, b)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = high / (high - low)
+        return np.where(low > 0, 1.0, np.where(high <= 0, 0.0, part))
+    found = np.zeros(corners.shape[:-ends])
+    for n in range(LINES):
+        t = (n + 0.5) / LINES
+        found = found + _open((1 - t) * corners[..., 0] + t * corners[..., 1], ends - 1)
+    return found / LINES
+
+
+def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> Distance:
+    """Distance from a wall in space. Concrete is on the side of a mesh, which must be closed, where `within` is, a
+    point amid the concrete [m], shape (3,).
+    """
+    if isinstance(wall, PlaneWall):
+        point, normal = np.array(wall.point), np.array(wall.normal)
+        return lambda x: (x - point) @ normal
+    if isinstance(wall, PipeWall):
+        return lambda x: wall.radius - np.linalg.norm(x - wall.axis.nearest(x), axis=1)
+    mesh = load_closed(trimesh.Trimesh(wall.vertices, wall.faces, process=False), f"{wall.name}.vertices")
+    sign = 1.0 if signed_distance(mesh, within[None])[0] > 0 else -1.0
+    return lambda x: sign * signed_distance(mesh, x)
+
+
+def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, int] = (0, -1)) -> Distance:
+    """Distance from a polygon that is a wall, or what it sweeps along the axis that is not among `axes`."""
+    a = np.array(corners, float)
+    b = np.roll(a, -1, 0)
+
+    def distance(points: np.ndarray) -> np.ndarray:
+        x = points[:, list(axes)]
+        nearest, inside = np.full(len(x), np.inf), np.zeros(len(x), bool)
+        for one, two in zip(a, b, strict=True):
+            along = two - one
+            part = np.clip((x - one) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+            nearest = np.minimum(nearest, np.linalg.norm(x - one - part[:, None] * along, axis=1))
+            # A ray to the right crosses sides that end above and below it.
+            crosses = (one[1] > x[:, 1]) != (two[1] > x[:, 1])
+            rise = along[1] if along[1] else 1.0
+            inside ^= crosses & (x[:, 0] < one[0] + (x[:, 1] - one[1]) * along[0] / rise)
+        return np.where(inside, -nearest, nearest)
+
+    return distance
