@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .channel import scene as channel
+    from .funnel import scene as funnel
+    from .lbox import scene as lbox
     from .pipe import scene as pipe
     from .slump import scene as slump
     from .tube import scene as tube
 
-__all__ = ["channel", "modules", "pipe", "slump", "tube"]
+__all__ = ["channel", "funnel", "lbox", "modules", "pipe", "slump", "tube"]
 
 
 def modules() -> dict[str, ModuleType]:

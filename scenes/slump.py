@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 from warpcrete.core.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
-from warpcrete.mps.column import ConcreteParameters
-from warpcrete.mps.free.scene import FreeScene, FreeSettings
+from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.mps.free.theory import cone_volume, long_heap_spread
-from warpcrete.mps.mixes import CONSTANTS, concrete_of
+from warpcrete.mps.mixes import CONSTANTS
 
 PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
 """Slumps that Xu, Li & Jiang 2021 measured of their concretes [m]."""
-NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 """Diameters and height of the mould of EN 12350-2 [m]."""
 SHELL, ABOVE = 3, 3
@@ -28,7 +26,7 @@ VOLUME = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlumpParameters(ConcreteParameters, FreeSettings):
+class SlumpParameters(FreeConcrete):
     """Mould and plate."""
 
     top_diameter: Annotated[float, "of the mould [m]", Above()] = TOP
@@ -52,10 +50,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
     """
     given = parameters
-    constants = {name: getattr(given, name) for name in CONSTANTS}
-    if given.plate == "sticks" and given.concrete == "own":  # a layer that nothing meets needs no numbers
-        constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
-    concrete = concrete_of(given.concrete, given.slip_thickness, **constants)
+    concrete = given.mixed(given.plate == "slips")
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
     room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
@@ -80,7 +75,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
         published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
         remarks=("the mould's friction is left out: it opens from below as it is lifted",) if gate else (),
         parameters=asdict(given),
-        **{f.name: getattr(given, f.name) for f in fields(FreeSettings)},
+        **given.settings(),
     )
 
 

@@ -183,7 +183,9 @@ def test_flows_go_the_same_either_way(name):
 GRIDS = {
     "periodic pipe": lambda: scenes.tube(ends="periodic", length=0.1, yield_stress=400.0),
     "slump": lambda: scenes.slump(spacing=0.0125, yield_stress=500.0, lift_time=0.05),
-}
+    "L-box": lambda: scenes.lbox(concrete="own", density=2300.0, viscosity=20.0, yield_stress=30.0, spacing=0.016,
+                                 lift_time=0.05, length=0.4, column_height=0.3),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("pick", GRIDS)

@@ -135,9 +135,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Geometry:
-        depth: wp.array(
-            dtype=scalar
-        )  # of a cell's middle: distance from the nearest wall, negative in it [m], (slots,)
+        depth: wp.array(dtype=scalar)  # distance from the nearest wall, negative in it, of two places of a cell along
+        # each axis, a quarter and three quarters on [m], shape (slots * 2^axes,), the first axis fastest
         room: wp.array(dtype=scalar)  # part of a cell that is not wall, shape (slots,)
         hold: wp.array(dtype=scalar)  # volume of what is open around its middle, weighted as particles are, (slots,)
         opens: wp.array(dtype=scalar)  # when what is shut here opens [s], shape (slots,); no rows where nothing does

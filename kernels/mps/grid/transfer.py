@@ -122,7 +122,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 @functools.cache
 def lift_kernel(scalar, of: Kind):
     """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
-    dims = of.dimensions
+    dims, places = of.dimensions, 2**of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Mesh, Geometry = structs.Mesh, structs.Geometry
@@ -137,7 +137,8 @@ def lift_kernel(scalar, of: Kind):
         c = wp.tid()
         if scalar(flags[STEPS]) * g.dt >= geometry.opens[c]:
             mesh.solid[c] = solid_after[c]
-            geometry.depth[c] = after.depth[c]
+            for k in range(places):
+                geometry.depth[c * places + k] = after.depth[c * places + k]
             geometry.room[c] = after.room[c]
             geometry.hold[c] = after.hold[c]
             for axis in range(dims):
@@ -402,20 +403,26 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def clearance(g: Cells, geometry: Geometry, x: vec):
-        """Distance from the nearest wall, and its slopes."""
+        """Distance from the nearest wall, and its slopes; of places half a cell apart, for walls hardly thicker."""
         base = whole()
         s = vec()
         for b in range(dims):
-            along = (x[b] - g.origin[b]) / g.width[b] - scalar(0.5)
-            base[b] = wp.clamp(wp.int32(wp.floor(along)), -1, g.n[b] - 1)
+            along = scalar(2.0) * (x[b] - g.origin[b]) / g.width[b] - scalar(0.5)
+            base[b] = wp.clamp(wp.int32(wp.floor(along)), -2, 2 * g.n[b])
             s[b] = along - scalar(base[b])
         value = scalar(0.0)
         slope = vec()
         for n in range(corners):
-            c, weight, change = corner(g, base, s, n)
-            depth = geometry.depth[f.at(g, c)]
+            half, weight, change = corner(g, base, s, n)
+            c = whole()
+            which = wp.int32(0)
+            for b in range(dims):
+                # Halves are counted from the frame, so that none is negative.
+                c[b] = (half[b] + 2) / 2 - 1
+                which += (half[b] - 2 * c[b]) * (1 << b)
+            depth = geometry.depth[f.at(g, c) * corners + which]
             value += weight * depth
-            slope += depth * change
+            slope += scalar(2.0) * depth * change
         return value, slope
 
     return SimpleNamespace(carry=carry, clearance=clearance)

@@ -8,17 +8,23 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.display import OTHER, Colour, Curve, Display, DrawnWall, Plot, on_palette
+from ..grid.geometry import MIRROR, WALL
+from .scene import Points
 
 SECTION, BEHIND = 4000, 8000
 """Particles that are drawn of a section, and of the half behind it, at most."""
 OURS = (215, 95, 30)
 PLATE = (150, 150, 150, 255)
+SHOWN = 0.1
+"""Depth that a plane is drawn with [m]."""
 FASTEST = 5.0
 """Rate of shear at the scale's upper end [1/s]."""
 
 
 class FreeDisplay(Display):
-    """Particles by rate of shear, by speed, or by pressure. About an axis, one particle stands for a ring."""
+    """Particles by rate of shear, by speed, or by pressure. About an axis, one stands for a ring; beside planes of
+    symmetry, for those beyond them too.
+    """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
     noun: ClassVar = "concrete"
@@ -28,11 +34,24 @@ class FreeDisplay(Display):
     def _axial(self) -> bool:
         return self.simulation.scene.axial
 
+    @property
+    def _solid(self) -> bool:
+        return self.simulation.scene.depth > 0
+
+    @property
+    def _mirrored(self) -> list[tuple[float, float]]:
+        """Signs of the first two coordinates of what is drawn of a room in space: of itself, and of its images."""
+        sides = self.simulation.scene.sides
+        across = (1.0, -1.0) if sides.get("left") == MIRROR else (1.0,)
+        deep = (1.0, -1.0) if sides.get("front") == MIRROR else (1.0,)
+        return [(a, b) for a in across for b in deep]
+
     @cached_property
     def _chosen(self) -> tuple[np.ndarray, np.ndarray]:
         """Which particles are drawn, and the angle from the section at which [rad]."""
         count = self.simulation.state.count
-        section = np.arange(0, count, max(1, -(-count // SECTION)))
+        most = (SECTION + BEHIND) // len(self._mirrored) if self._solid else SECTION
+        section = np.arange(0, count, max(1, -(-count // most)))
         if not self._axial:
             return section, np.zeros(len(section))
         around = 24
@@ -45,6 +64,9 @@ class FreeDisplay(Display):
     def radii(self) -> np.ndarray:
         """Half a particle's distance in the section, half a cell's behind it [m]."""
         layout, (_, angles) = self.simulation.state.layout, self._chosen
+        if self._solid:
+            fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
+            return np.full(len(angles) * len(self._mirrored), 0.55 * layout.mark_spacing * fewer, np.float32)
         cut = np.isin(angles, (0.0, np.pi))
         stride = np.sqrt(max(1.0, len(layout.fluid) / max(np.count_nonzero(angles == 0), 1)))
         size = np.where(cut, 0.5 * layout.mark_spacing * stride, 0.6 * layout.spacing)
@@ -55,6 +77,11 @@ class FreeDisplay(Display):
         x = self.simulation.state.particles.position.numpy().astype(float)
         particles, angles = self._chosen
         x = x[particles]
+        if self._solid:
+            # What has left lies below the room, where nobody looks.
+            gone = self.simulation.state.particles.mass.numpy()[particles] == 0
+            x[gone] = [0.0, 0.0, -0.5]
+            return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
 
     def scale(self) -> tuple[str, float, float]:
@@ -78,11 +105,19 @@ class FreeDisplay(Display):
             slope = state.particles.gradient.numpy().astype(float)
             values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         _, lower, upper = self.scale()
-        return on_palette(values[found], upper, lower)
+        copies = len(self._mirrored) if self._solid else 1
+        return np.tile(on_palette(values[found], upper, lower), (copies, 1))
 
     def plots(self) -> tuple[Plot, ...]:
         """How wide and how high the concrete is."""
         word = "spread" if self._axial else "way of the front"
+        if self.simulation.scene.test == "funnel":
+            return (
+                Plot(
+                    "remaining", "Remaining", (Curve("inside", "remaining [%]", lambda row: 1e2 * row["inside"], OURS),)
+                ),
+                Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], OURS),)),
+            )
         return (
             Plot("shape", "Shape", (
                 Curve("spread", f"{word} [mm]", lambda row: 1e3 * row["spread"], OURS),
@@ -102,11 +137,32 @@ class FreeDisplay(Display):
                 shell = corners[corners[:, 0] > 0]
                 found.append(_revolved("mould", shell[np.argsort(shell[:, 1])], OTHER, True))
             return found
-        floor = np.array([[0.0, below], [scene.width, below]])
-        found.append(_drawn_out("plate", floor, PLATE, False))
+        deep = scene.depth or SHOWN
+        low = -deep if scene.sides.get("front") == MIRROR else 0.0
+        if scene.sides.get("bottom", WALL) == WALL:
+            floor = np.array([[0.0, below], [scene.width, below]])
+            found.append(_drawn_out("plate", floor, PLATE, False, low, deep))
+        images = {a for a, _ in self._mirrored}
+        for number, block in enumerate(scene.blocks):
+            for a in sorted(images, reverse=True):
+                name = f"block {number + 1}" + ("" if a > 0 else ", image")
+                line = self._cropped(block) * [a, 1.0]
+                found.append(_drawn_out(name, line, OTHER, False, low, deep))
+        for wall in scene.walls:
+            drawn = wall.drawn()
+            if drawn is not None:
+                for a, b in self._mirrored:
+                    name = wall.name + ("" if a > 0 and b > 0 else f", image {a:+.0f} {b:+.0f}")
+                    found.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
         if scene.gate:
-            found.append(_drawn_out("gate", np.array([*scene.gate, scene.gate[0]]), OTHER, True))
+            found.append(_drawn_out("gate", self._cropped(scene.gate), OTHER, True, low, deep))
         return found
+
+    def _cropped(self, points: Points) -> np.ndarray:
+        """A closed polygon's corners within the room [m]."""
+        scene = self.simulation.scene
+        corners = np.array([*points, points[0]])
+        return np.clip(corners, [0.0, 0.0], [scene.width, scene.height])
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation of a drawn wall now."""
@@ -120,6 +176,10 @@ class FreeDisplay(Display):
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         left = -0.8 * scene.width if self._axial else 0.0
+        if self._solid:
+            upper = np.array([scene.width, scene.depth, height])
+            signs = np.array([[a, b, 0.0] for a, b in self._mirrored]).min(0)
+            return np.stack([np.minimum(signs * upper, 0.0), upper])
         return np.array([[left, 0.0, 0.0], [0.8 * scene.width if self._axial else scene.width, 0.0, height]])
 
 
@@ -136,9 +196,9 @@ def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: 
     return DrawnWall(name, vertices, np.array(faces), moves, colour)
 
 
-def _drawn_out(name: str, line: np.ndarray, colour: Colour, moves: bool, deep: float = 0.1) -> DrawnWall:
-    """A line across and up [m], and so `deep` behind the section [m]."""
-    vertices = np.array([(x, y, z) for x, z in line for y in (0.0, deep)])
+def _drawn_out(name: str, line: np.ndarray, colour: Colour, moves: bool, low: float, high: float) -> DrawnWall:
+    """A line across and up [m], from one depth to another [m]."""
+    vertices = np.array([(x, y, z) for x, z in line for y in (low, high)])
     faces = [
         f for k in range(len(line) - 1) for f in ((2 * k, 2 * k + 1, 2 * k + 2), (2 * k + 1, 2 * k + 3, 2 * k + 2))
     ]

@@ -41,7 +41,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
         device="",
         counts=flow.counts,
         features={
-            "dimensions": "about the axis" if scene.axial else "in a plane",
+            "dimensions": scene.form,
             "surface": "free",
             "gate": f"lifted at {scene.lift_speed:g} m/s" if scene.gate else "left out",
             "walls": "slip layer" if scene.plate_slips else "concrete sticks",

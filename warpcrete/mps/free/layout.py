@@ -68,7 +68,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
     def concrete(points: np.ndarray) -> np.ndarray:
         return (outline(points) < 0) & (nearest(points)[0] > 0)
 
-    places, mass = _filled(room, abreast, concrete)
+    places, mass = fill_cells(room, abreast, concrete)
     slip = (scene.concrete.slip_viscosity, scene.concrete.slip_yield) if scene.plate_slips else (STICKS, 0.0)
     size = float(np.ptp(np.array(scene.outline), axis=0).min())
     return GridLayout(
@@ -87,7 +87,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
     )
 
 
-def _filled(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Particles where there is concrete, shape (n, axes) [m], and their masses over a whole one's: those of a cell have
     what there is of it.
     """
@@ -136,6 +136,6 @@ def _differ(one: Geometry, two: Geometry) -> np.ndarray:
         faces.any(0)
         | (one.room != two.room)
         | (one.hold != two.hold)
-        | (one.depth != two.depth)
+        | (one.depth != two.depth).any(-1)
         | (one.solid != two.solid)
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.run_loop import Run
 from ...core.units import number
+from .scene import FreeScene
 
 
 def plot_free(run: Run) -> Any:
@@ -22,7 +23,7 @@ def plot_free(run: Run) -> Any:
         if scene.axial:
             place, height = np.concatenate([-place[::-1], place]), np.concatenate([height[::-1], height])
         shape.fill_between(place, height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
-    corners = 1e3 * np.array([*scene.outline, scene.outline[0]])
+    corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
     for side in (1, -1) if scene.axial else (1,):
         shape.plot(side * corners[:, 0], corners[:, 1], color="0.4", linewidth=0.8, linestyle=":")
     if scene.axial and "spread_theory" in run.result and scene.concrete.yield_stress > 0:
@@ -34,13 +35,26 @@ def plot_free(run: Run) -> Any:
                        label="long heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(aspect="equal", xlabel="[mm]", ylabel="height [mm]")
     shape.legend(frameon=False, fontsize=8)
-    course.plot(run.series["time"], 1e3 * run.series["spread"], label="spread" if scene.axial else "way of the front")
-    course.plot(run.series["time"], 1e3 * run.series["top"], label="highest point")
-    course.set(xlabel="time [s]", ylabel="[mm]")
+    for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.axial else ())):
+        corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
+        shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
+    for name, factor, label in _curves(scene):
+        course.plot(run.series["time"], factor * run.series[name], label=label)
+    course.set(xlabel="time [s]", ylabel="[%]" if scene.test == "funnel" else "[mm]")
     course.legend(frameon=False, fontsize=8)
     for axes in (shape, course):
         axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
+    """Columns that are drawn over time, with factor and label."""
+    if scene.test == "funnel":
+        return [("inside", 1e2, "remaining")]
+    if scene.test == "lbox":
+        return [("front", 1e3, "way of the front"), ("near_depth", 1e3, "depth at the gate"),
+                ("far_depth", 1e3, "depth at the end")]  # fmt: skip
+    return [("spread", 1e3, "spread" if scene.axial else "way of the front"), ("top", 1e3, "highest point")]
 
 
 def draw(simulation: Any, run: Run, colouring: str) -> Any:

@@ -20,6 +20,13 @@ UNITS = {
     "pressure_iterations": "1",
 }
 """Of the columns of a row."""
+MORE = {
+    "funnel": {"screen": "1"},
+    "lbox": {"near_depth": "m", "far_depth": "m", "front": "m"},
+}
+"""Columns that a test has besides, with their units."""
+FAR_END = 0.05
+"""Length of a box over which the depth at its far end is a mean [m]."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -60,6 +67,29 @@ def speeds(flow: GridFlow) -> np.ndarray:
     return np.sqrt(square)[(state.cells("fill") > HALF) & (state.cells("room") > HALF)]
 
 
+def screen(flow: GridFlow) -> float:
+    """How full the fullest cell is of those in the middle of a funnel, from the outlet to the brim: below a half, light
+    is seen through it.
+    """
+    fill = flow.state.cells("fill")
+    return float(fill.reshape(fill.shape[0], -1)[:, 0].max())
+
+
+def box_depths(flow: GridFlow) -> dict[str, float]:
+    """Depth just behind the gate and at the far end of an L-box, and how far the front has come from the gate [m]."""
+    across, height = surface(flow)
+    scene, half = flow.scene, 0.5 * flow.state.layout.spacing
+    gate = scene.dimensions["column_width"]
+    behind = (across < gate) & (across > 0.5 * gate)
+    came = across[height > half]
+    return {
+        # What clings to the walls of the column is no depth.
+        "near_depth": float(np.median(height[behind])),
+        "far_depth": float(np.median(height[across > scene.width - FAR_END])),
+        "front": max(float(came.max(initial=0.0)) + half - gate, 0.0),
+    }
+
+
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     """A row of the series; `whole` is the concrete's volume at the start, of a metre's depth, of a radian or in all.
 
@@ -69,10 +99,17 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     if not flow.steps:
         top = float(layout.fluid[:, -1].max()) + 0.5 * layout.mark_spacing
         far = float(layout.fluid[:, 0].max()) + 0.5 * layout.mark_spacing
-        return dict.fromkeys(UNITS, 0.0) | {"top": top, "spread": 2 * far if layout.axial else far, "inside": 1.0}
+        none = dict.fromkeys(UNITS | MORE.get(flow.scene.test, {}), 0.0)
+        start = {"top": top, "spread": 2 * far if layout.axial else far, "inside": 1.0}
+        start |= {"screen": 1.0} if flow.scene.test == "funnel" else {}
+        start |= {"near_depth": top} if flow.scene.test == "lbox" else {}
+        return none | start
     _, height = surface(flow)
     speed, outcomes = speeds(flow), flow.outcomes()
     far = reach(flow)
+    more = {"screen": screen(flow)} if flow.scene.test == "funnel" else {}
+    if flow.scene.test == "lbox":
+        more = box_depths(flow)
     inside = float(np.sum(state.particles.mass.numpy().astype(float)) / np.sum(layout.mass))
     return {
         "time": flow.time,
@@ -84,4 +121,4 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
         "volume_error": volume(flow) / whole - inside,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
-    }
+    } | more

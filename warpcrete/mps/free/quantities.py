@@ -12,10 +12,12 @@ from ...core.method import Quantity
 from ...core.run_loop import Run
 from ...core.units import number
 from .scene import FreeScene
-from .theory import long_heap_spread, tall_cone_slump
+from .theory import box_at_rest, funnel_time, long_heap_spread, tall_cone_slump
 
 T500 = 0.5
 """Spread whose time is told [m] (EN 12350-8)."""
+LIGHT = 0.5
+"""How full a funnel's middle is at most when light is seen through it."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,16 @@ class Known:
         return self.scene.test == "slump"
 
     @property
+    def is_funnel(self) -> bool:
+        """A V-funnel."""
+        return self.scene.test == "funnel"
+
+    @property
+    def is_box(self) -> bool:
+        """An L-box."""
+        return self.scene.test == "lbox"
+
+    @property
     def cone(self) -> tuple[float, float, float]:
         """Radii at top and base, and height [m]."""
         corners = np.array(self.scene.outline)
@@ -45,9 +57,11 @@ class Known:
         """Of a column."""
         return float(self.series[name][-1])
 
-    def when(self, name: str, value: float) -> float | None:
+    def when(self, name: str, value: float, falls: bool = False) -> float | None:
         """When a column first passes a value [s]; None if it does not."""
         time, column = self.series["time"], self.series[name]
+        if falls:
+            column, value = -column, -value
         past = np.nonzero(column >= value)[0]
         if len(past) == 0 or past[0] == 0:
             return None
@@ -75,6 +89,43 @@ def _spread_of_theory(k: Known) -> float | None:
     return long_heap_spread(whole, concrete.yield_stress, concrete.density, k.scene.gravity)
 
 
+def _funnel_of_theory(k: Known) -> float | None:
+    if not k.is_funnel:
+        return None
+    size, concrete = k.scene.dimensions, k.scene.concrete
+    halves = (size["outlet_width"] / 2, size["top_width"] / 2)
+    heights = (size["outlet_height"], size["outlet_height"] + size["cone_height"])
+    time = funnel_time(halves, heights, size["breadth"], concrete.viscosity, concrete.yield_stress, concrete.density,
+                       k.scene.gravity)  # fmt: skip
+    return time if math.isfinite(time) else None
+
+
+def _ratio(k: Known) -> float | None:
+    return k.last("far_depth") / k.last("near_depth") if k.is_box and k.last("near_depth") > 0 else None
+
+
+def _ratio_of_theory(k: Known) -> float | None:
+    if not k.is_box:
+        return None
+    concrete, width = k.scene.concrete, k.scene.dimensions["width"]
+    whole = k.volume * width / k.scene.depth
+    near, far, _ = box_at_rest(whole, k.scene.width, width, concrete.yield_stress, concrete.density, k.scene.gravity)
+    return far / near
+
+
+def _with_time(name: str, form: str):
+    def words(run: Run) -> str:
+        theory = run.result.get(f"{name}_theory")
+        beside = f"   ({form}: {number(theory):.2f} s)" if theory else ""
+        return f"{number(run.result[name]):.2f} s{beside}"
+
+    return words
+
+
+def _ratio_words(run: Run) -> str:
+    return f"{run.result['passing_ratio']:.2f}   (slow flow, no bars: {run.result['passing_ratio_theory']:.2f})"
+
+
 def _with_theory(name: str, form: str):
     def words(run: Run) -> str:
         theory = run.result.get(f"{name}_theory")
@@ -91,6 +142,17 @@ QUANTITIES = (
              _with_theory("spread", "long heap"), True),
     Quantity("spread_theory", "m", _spread_of_theory),
     Quantity("t500", "s", lambda k: k.when("spread", T500) if k.is_slump else None, "T500", None, True),
+    Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True) if k.is_funnel else None, "funnel time",
+             _with_time("funnel_time", "ducts in a row"), True),
+    Quantity("funnel_time_theory", "s", _funnel_of_theory),
+    Quantity("remaining", "1", lambda k: k.last("inside") if k.is_funnel else None, "remaining",
+             lambda run: f"{100 * run.result['remaining']:.1f} %"),
+    Quantity("passing_ratio", "1", _ratio, "H2/H1", _ratio_words, True),
+    Quantity("passing_ratio_theory", "1", _ratio_of_theory),
+    Quantity("h1", "m", lambda k: k.last("near_depth") if k.is_box else None, "H1"),
+    Quantity("h2", "m", lambda k: k.last("far_depth") if k.is_box else None, "H2"),
+    Quantity("t200", "s", lambda k: k.when("front", 0.2) if k.is_box else None, "T200", None, True),
+    Quantity("t400", "s", lambda k: k.when("front", 0.4) if k.is_box else None, "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: k.last("fastest")),
     Quantity("volume_error", "1", lambda k: float(max(k.series["volume_error"], key=abs))),
 )  # fmt: skip
@@ -101,5 +163,5 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     for name, value in run.scene.published.items():
         if name in run.result:
             yield f"{name}, Xu", f"{1e3 * value:.0f} mm printed (Xu, Li & Jiang 2021)"
-    if run.finished and not run.result["at_rest"]:
+    if run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"

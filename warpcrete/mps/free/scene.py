@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,12 +12,15 @@ from ...core.device import PRECISIONS
 from ...core.errors import between, one_of, positive, refuse
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
+from ..column import ConcreteParameters
 from ..grid.geometry import BARE, MIRROR, WALL
+from ..mixes import CONSTANTS, concrete_of
 from ..theory import Concrete
 
 TESTS = ("slump", "funnel", "lbox", "none")
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Of the room, along each axis."""
+NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon across (radius, or width) and up [m]."""
 
@@ -84,6 +87,8 @@ class FreeScene(FreeSettings):
     """On sides of the room the concrete's slip layer acts; else it sticks, as it does to blocks and walls: where walls
     pass through cells aslant, slip is not yet accurate.
     """
+    dimensions: Mapping[str, float] = field(default_factory=dict)
+    """Of a test's vessel that its quantities go by [m]."""
     published: Mapping[str, float] = field(default_factory=dict)
     """Quantities of the result that somebody printed, in SI units."""
     remarks: tuple[str, ...] = ()
@@ -130,3 +135,19 @@ class FreeScene(FreeSettings):
             f"<FreeScene {self.name!r}: {self.concrete.name}, {self.form}, "
             f"{self.width:g} m wide, spacing {self.spacing:g} m>"
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeConcrete(ConcreteParameters, FreeSettings):
+    """What tests of fresh concrete have in common."""
+
+    def mixed(self, slips: bool) -> Concrete:
+        """The concrete; a slip layer that nothing meets needs no numbers."""
+        constants = {name: getattr(self, name) for name in CONSTANTS}
+        if not slips and self.concrete == "own":
+            constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
+        return concrete_of(self.concrete, self.slip_thickness, **constants)
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of a scene that say how it is computed."""
+        return {f.name: getattr(self, f.name) for f in fields(FreeSettings)}

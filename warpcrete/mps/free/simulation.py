@@ -17,8 +17,8 @@ from ..grid.state import GridState, check_memory
 from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
-from .probes import UNITS, measured, reach, surface
-from .quantities import QUANTITIES, Known
+from .probes import MORE, UNITS, measured, reach, surface
+from .quantities import LIGHT, QUANTITIES, Known
 from .scene import FreeScene
 
 RESTED = 1.0
@@ -38,7 +38,7 @@ class FreeSimulation(FlowRun):
 
     def unit(self, column: str) -> str:
         """Unit of a column of the series."""
-        return UNITS[column]
+        return (UNITS | MORE.get(self.scene.test, {}))[column]
 
     def display(self, colouring: str) -> FreeDisplay:
         """What recorders draw."""
@@ -76,8 +76,10 @@ class FreeSimulation(FlowRun):
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 
     def ended_early(self) -> bool:
-        """The concrete rests."""
-        now = self._rows[-1]["time"]
+        """The concrete rests, or light is seen through a funnel."""
+        now, row = self._rows[-1]["time"], self._rows[-1]
+        if row.get("screen", 1.0) < LIGHT:
+            return True
         if now < self.lifted + RESTED + 0.2:
             return False
         late = [row["fastest"] for row in self._rows if row["time"] > now - RESTED - 1e-9]

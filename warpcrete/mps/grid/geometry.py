@@ -33,7 +33,7 @@ Distance = Callable[[np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Geometry:
     """Arrays over a grid and its frame, named and meant as those of the kernels' `Geometry`; shape (axes, *shape) of
-    what faces have, `shape` of the rest, the last axis first."""
+    what faces have, (*shape, 2^axes) of `depth`, `shape` of the rest, the last axis first."""
 
     solid: np.ndarray
     """NONE, or number of the wall that fills a cell."""
@@ -101,7 +101,9 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
     kept = np.where(solid == NONE, np.maximum(open_part, LEAST), 0.0)
     hold = _hold(room, corners, mirror, axial)
-    return Geometry(*(_last_first(a) for a in (solid, np.minimum(depth, far), kept, hold)), *rest)
+    halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
+    fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
+    return Geometry(_last_first(solid), fine, *(_last_first(a) for a in (kept, hold)), *rest)
 
 
 def nearest_wall(
@@ -121,6 +123,11 @@ def nearest_wall(
         return found.min(0).reshape(shape), which.reshape(shape)
 
     return nearest
+
+
+def _first_fastest(axes: int) -> list[int]:
+    """Numbers that `ndindex` gives the corners of a cell, in an order in which the first axis varies fastest."""
+    return [int("".join(reversed(f"{n:0{axes}b}")), 2) for n in range(2**axes)]
 
 
 def _last_first(array: np.ndarray) -> np.ndarray:

@@ -1,0 +1,100 @@
+"""V-funnel: the time in which concrete flows out of it (EN 12350-9), as a flow on a grid in space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.parameters import Above, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.mps.free.scene import FreeConcrete, FreeScene
+
+VOLUME = 0.06
+"""Part of the volume that the surface may gain or lose; measured up to 0.05, in the last of the concrete."""
+REMARKS = (
+    "concrete sticks to the walls; a quarter is computed, between the planes of symmetry",
+    "what leaves the outlet is gone: its weight does not pull",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FunnelParameters(FreeConcrete):
+    """Funnel; its measures are those of EN 12350-9."""
+
+    top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
+    outlet_width: Annotated[float, "[m]", Above()] = 0.065
+    breadth: Annotated[float, "distance of the parallel sides [m]", Above()] = 0.075
+    cone_height: Annotated[float, "of the part that tapers [m]", Above()] = 0.45
+    outlet_height: Annotated[float, "of the straight part below [m]", Above()] = 0.15
+    spacing: Annotated[float, "of the cells [m]", Above()] = 7.5e-3
+
+
+@scene_function(FunnelParameters)
+def scene(parameters: FunnelParameters) -> FreeScene:
+    """A V-funnel full of concrete whose outlet opens at once: the time until light is seen through it.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    narrow, brim, throat = given.outlet_width / 2, given.top_width / 2, given.outlet_height
+    whole = throat + given.cone_height
+    if given.spacing > min(given.outlet_width, given.breadth) / 4:
+        refuse("spacing", given.spacing, "must leave four cells across the outlet",
+               f"take {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
+    # Whole cells over the height, and some above it.
+    rows = max(8, round(whole / given.spacing))
+    cell = whole / rows
+    width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell
+    side = ((narrow, -out), (narrow, throat), (brim, whole), (width + out, whole), (width + out, -out))
+    names = ("top_width", "outlet_width", "breadth", "cone_height", "outlet_height")
+    return FreeScene(
+        name="funnel",
+        test="funnel",
+        concrete=given.mixed(False),
+        axial=False,
+        width=width,
+        depth=given.breadth / 2,
+        height=cell * (rows + 2),
+        spacing=cell,
+        outline=((-out, 0.0), (width, 0.0), (width, whole), (-out, whole)),
+        blocks=(side,),
+        sides={"left": "mirror", "front": "mirror", "bottom": "open"},
+        dimensions={name: getattr(given, name) for name in names},
+        remarks=REMARKS,
+        parameters=asdict(given),
+        **given.settings(),
+    )
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a funnel: name -> (passed, what was found)."""
+    result = run.result
+    if "remaining" not in result:
+        return {"finished": (False, "there is no sample besides that at the start")}
+    volume, time = result["volume_error"], result.get("funnel_time")
+    return {
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
+        "light is seen": (
+            time is not None,
+            f"after {number(time):.2f} s" if time else f"{100 * result['remaining']:.0f} % remains",
+        ),
+    }
+
+
+def _knobs(given: FunnelParameters) -> Iterator[Knob]:
+    # As fine as the time step lets concrete fall by no more than a cell, as coarse as leaves cells in the outlet.
+    finest = given.time_step * math.sqrt(2 * given.gravity * (given.cone_height + given.outlet_height))
+    coarsest = min(given.outlet_width, given.breadth) / 4
+    spacings = [f for f in (2.0, 1.6, 1.25, 1.0, 0.8) if finest < f * given.spacing < coarsest]
+    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
+    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
+    yield precisions()
+
+
+trading = Trading(_knobs, quantities=("funnel_time",))

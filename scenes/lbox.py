@@ -1,0 +1,130 @@
+"""L-box: how far concrete flows from a column, between bars, and how level it comes to rest (EN 12350-10), as a flow
+on a grid in space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+import trimesh
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.parameters import Above, OneOf, Within, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.geometry.walls import MeshWall
+from warpcrete.mps.free.scene import FreeConcrete, FreeScene
+
+GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
+"""Between bars, by their number [m] (EN 12350-10)."""
+THICK = 2.5
+"""Cells of which the column's front wall and the gate are thick."""
+SEEN = 1.5
+"""Cells across a bar, at least."""
+AROUND = 24
+"""Sides of a bar's prism."""
+VOLUME = 0.06
+"""Part of the volume that the surface may gain or lose; measured up to 0.05, while it moves fastest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxParameters(FreeConcrete):
+    """Box; its measures are those of EN 12350-10."""
+
+    column_width: Annotated[float, "along the box [m]", Above()] = 0.1
+    column_height: Annotated[float, "of the concrete at the start [m]", Above()] = 0.6
+    length: Annotated[float, "of the box, the column included [m]", Above()] = 0.7
+    width: Annotated[float, "[m]", Above()] = 0.2
+    opening: Annotated[float, "height of the gate [m]", Above()] = 0.15
+    bars: Annotated[int, "behind the gate: none, 2 or 3", OneOf((0, 2, 3))] = 0
+    bar_diameter: Annotated[float, "[m]", Above()] = 0.012
+    lift_time: Annotated[float, "in which the gate is lifted [s]; 0: it is gone at once", Within(0)] = 0.5
+    surfaces: Annotated[str, "of floor and sides: sticks, or slips by the concrete's slip layer",
+                        OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
+    spacing: Annotated[float, "of the cells [m]; bars need at least three for two of their diameters", Above()] = 0.0125
+
+
+@scene_function(BoxParameters)
+def scene(parameters: BoxParameters) -> FreeScene:
+    """A column of concrete that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    if given.length < given.column_width + 0.1:
+        refuse(
+            "length", given.length, "leaves no box beyond the column", f"take {given.column_width + 0.3:g} m or more"
+        )
+    if given.column_height < given.opening + 0.05:
+        refuse("column_height", given.column_height, "is that of the column, above the opening", "take 0.6 m")
+    if given.bars and given.spacing > given.bar_diameter / SEEN:
+        refuse("spacing", given.spacing, f"hardly sees bars of {1e3 * given.bar_diameter:g} mm",
+               f"take {given.bar_diameter / SEEN:.2g} m or less, or bars = 0")  # fmt: skip
+    gate, opening, top = given.column_width, given.opening, given.column_height
+    thick = THICK * given.spacing
+    high = top + 3 * given.spacing
+    front = ((gate, opening), (gate + thick, opening), (gate + thick, 2 * high), (gate, 2 * high))
+    shut = ((gate, -thick), (gate + thick, -thick), (gate + thick, opening), (gate, opening))
+    return FreeScene(
+        name="lbox",
+        test="lbox",
+        concrete=given.mixed(given.surfaces == "slips"),
+        axial=False,
+        width=given.length,
+        depth=given.width / 2,
+        height=high,
+        spacing=given.spacing,
+        outline=((-thick, 0.0), (gate, 0.0), (gate, top), (-thick, top)),
+        blocks=(front,),
+        walls=tuple(_bars(given, gate + thick)),
+        amid=(gate / 2, given.width / 4, opening),
+        sides={"front": "mirror"},
+        gate=shut if given.lift_time else (),
+        lift_speed=opening / given.lift_time if given.lift_time else 0.0,
+        plate_slips=given.surfaces == "slips",
+        dimensions={"column_width": gate, "width": given.width},
+        remarks=("half of the box is computed, between its middle plane and a side",),
+        parameters=asdict(given),
+        **given.settings(),
+    )
+
+
+def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
+    """Upright bars in the half that is computed, the one in the middle whole."""
+    pitch = GAPS[given.bars] + given.bar_diameter
+    first = 0.0 if given.bars % 2 else pitch / 2
+    for n in range(math.ceil(given.bars / 2)):
+        # From within the floor to the height of the opening.
+        high = given.opening + 2 * given.spacing
+        bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
+        bar.apply_translation((place + given.bar_diameter, first + n * pitch, given.opening - high / 2))
+        yield MeshWall(name=f"bar {n + 1}", vertices=bar.vertices, faces=bar.faces)
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of an L-box: name -> (passed, what was found)."""
+    result = run.result
+    if "h1" not in result:
+        return {"finished": (False, "there is no sample besides that at the start")}
+    volume, speed = result["volume_error"], number(result["rest_speed"])
+    return {
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
+        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+    }
+
+
+def _knobs(given: BoxParameters) -> Iterator[Knob]:
+    # As fine as the time step lets concrete fall by no more than a cell, as coarse as sees the bars.
+    finest = given.time_step * math.sqrt(2 * given.gravity * given.column_height)
+    coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
+    spacings = [f for f in (1.6, 1.25, 1.0, 0.8, 0.5) if finest < f * given.spacing <= coarsest]
+    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
+    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
+    yield precisions()
+
+
+trading = Trading(_knobs, quantities=("passing_ratio",))
