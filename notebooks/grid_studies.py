@@ -17,14 +17,21 @@ from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device import default_threads
 
 
-def slump(job: tuple[dict, str | None]) -> dict:
-    """Result of a slump, on one thread of a CPU."""
-    parameters, device = job
-    return Simulation(scenes.slump(**parameters), device=device, threads=1).run().result
+def result(job: tuple[str, dict, str | None]) -> dict:
+    """Result of a scene by its name and parameters, on one thread of a CPU."""
+    name, parameters, device = job
+    found = Simulation(getattr(scenes, name)(**parameters), device=device, threads=1).run().result
+    print(name, parameters, flush=True)
+    return found
+
+
+def value(found: dict, name: str, factor: float = 1.0, digits: int = 2) -> str:
+    """A quantity as a table has it; a dash where there is none."""
+    return f"{factor * found[name]['value']:.{digits}f}" if name in found else "-"
 
 
 class GridStudies(Studies):
-    """Shear without end, and slumps."""
+    """Shear without end, and the standard tests."""
 
     def shear(self) -> None:
         """Any share of slip, any Bingham number: a column of particles on a piston, and a periodic pipe on a grid."""
@@ -77,26 +84,66 @@ class GridStudies(Studies):
              "slip_yield": 100.0, "spacing": h} for tau, h in cases
         ]  # fmt: skip
         rows = []
-        for job, r in zip(jobs, self.run_slumps(jobs)):
-            t500 = f"{r['t500']['value']:.2f}" if "t500" in r else "-"
+        for job, r in zip(jobs, self.run_tests("slump", jobs)):
             rows.append(
-                [f"{job['yield_stress']:g}", f"{1e3 * job['spacing']:g}", f"{1e3 * r['slump']['value']:.0f}",
-                 f"{1e3 * r['slump_theory']['value']:.0f}", f"{1e3 * r['spread']['value']:.0f}",
-                 f"{1e3 * r['spread_theory']['value']:.0f}", t500, f"{100 * r['volume_error']:+.1f}",
-                 f"{r['simulated_time']['value']:.1f}", f"{1e3 * r['rest_speed']['value']:.2f}",
-                 f"{r['speed']['wall_time']['value']:.0f}"]
+                [f"{job['yield_stress']:g}", f"{1e3 * job['spacing']:g}", value(r, "slump", 1e3, 0),
+                 value(r, "slump_theory", 1e3, 0), value(r, "spread", 1e3, 0), value(r, "spread_theory", 1e3, 0),
+                 value(r, "t500"), f"{100 * r['volume_error']:+.1f}", value(r, "simulated_time", digits=1),
+                 value(r, "rest_speed", 1e3), value(r["speed"], "wall_time", digits=0)]
             )  # fmt: skip
         head = ["yield stress [Pa]", "cells [mm]", "slump [mm]", "tall cone", "spread [mm]", "long heap", "T500 [s]",
                 "volume, at most [%]", "ends after [s]", "fastest then [mm/s]", "wall time [s]"]  # fmt: skip
         self.write("slump", head, rows, "30 Pa s, 2300 kg/m3, mould lifted in 3 s.")
 
-    def run_slumps(self, jobs: list[dict]) -> list[dict]:
-        """Results of slumps: on a CPU in processes, one a core."""
+    def funnel(self) -> None:
+        """Time of a V-funnel for three concretes, over the spacing, beside ducts in a row."""
+        concretes = [(20.0, 0.0), (20.0, 30.0), (50.0, 50.0)]
+        jobs = [
+            {"concrete": "own", "density": 2300.0, "viscosity": mu, "yield_stress": tau, "spacing": h,
+             "time_step": 1e-3 if h < 7e-3 else 2e-3}
+            for mu, tau in concretes for h in (12.5e-3, 9.375e-3, 7.5e-3, 5e-3)
+        ]  # fmt: skip
+        rows = []
+        for job, r in zip(jobs, self.run_tests("funnel", jobs)):
+            rows.append(
+                [f"{job['viscosity']:g}", f"{job['yield_stress']:g}", f"{1e3 * r['spacing']['value']:.1f}",
+                 str(r["cells"]), value(r, "funnel_time"), value(r, "funnel_time_theory"),
+                 f"{100 * r['remaining']:.0f}", f"{100 * r['volume_error']:+.1f}",
+                 value(r["speed"], "wall_time", digits=0)]
+            )  # fmt: skip
+        head = ["viscosity [Pa s]", "yield stress [Pa]", "cells [mm]", "cells", "funnel time [s]", "ducts in a row [s]",
+                "clings then [%]", "volume, at most [%]", "wall time [s]"]  # fmt: skip
+        self.write("funnel", head, rows, "2300 kg/m3; concrete sticks to the walls.")
+
+    def box(self) -> None:
+        """H2/H1, T200 and T400 of an L-box with and without bars, beside what comes without inertia."""
+        concretes = [(20.0, 30.0), (50.0, 100.0)]
+        kinds = [(0, 12.5e-3), (0, 8e-3), (3, 8e-3)]
+        jobs = [
+            {"concrete": "own", "density": 2300.0, "viscosity": mu, "yield_stress": tau, "bars": bars, "spacing": h,
+             "duration": 10.0} for mu, tau in concretes for bars, h in kinds
+        ]  # fmt: skip
+        rows = []
+        for job, r in zip(jobs, self.run_tests("lbox", jobs)):
+            rows.append(
+                [f"{job['viscosity']:g}", f"{job['yield_stress']:g}", str(job["bars"]), f"{1e3 * job['spacing']:g}",
+                 f"{r['passing_ratio']:.2f}", f"{r['passing_ratio_theory']:.2f}", value(r, "h1", 1e3, 0),
+                 value(r, "h2", 1e3, 0), value(r, "t200"), value(r, "t400"), f"{100 * r['volume_error']:+.1f}",
+                 value(r, "simulated_time", digits=1), value(r["speed"], "wall_time", digits=0)]
+            )  # fmt: skip
+        head = ["viscosity [Pa s]", "yield stress [Pa]", "bars", "cells [mm]", "H2/H1", "slow flow", "H1 [mm]",
+                "H2 [mm]", "T200 [s]", "T400 [s]", "volume, at most [%]", "ends after [s]",
+                "wall time [s]"]  # fmt: skip
+        self.write("box", head, rows, "2300 kg/m3, gate lifted in 0.5 s, 10 s at most; concrete sticks to the walls.")
+
+    def run_tests(self, name: str, jobs: list[dict]) -> list[dict]:
+        """Results of a scene for each set of parameters: on a CPU in processes, one a core."""
+        tasks = [(name, job, self.device) for job in jobs]
         if self.on_gpu:
-            return [slump((job, self.device)) for job in jobs]
+            return [result(task) for task in tasks]
         with ProcessPoolExecutor(default_threads(), mp_context=multiprocessing.get_context("spawn")) as pool:
-            return list(pool.map(slump, [(job, self.device) for job in jobs]))
+            return list(pool.map(result, tasks))
 
 
 if __name__ == "__main__":
-    main(GridStudies, ("shear", "slump"), __doc__)
+    main(GridStudies, ("shear", "slump", "funnel", "box"), __doc__)
