@@ -101,7 +101,7 @@ def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
         high = given.opening + 2 * given.spacing
         bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
         bar.apply_translation((place + given.bar_diameter, first + n * pitch, given.opening - high / 2))
-        yield MeshWall(name=f"bar {n + 1}", vertices=bar.vertices, faces=bar.faces)
+        yield MeshWall(name=f"bar{n + 1}", vertices=bar.vertices, faces=bar.faces)
 
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:

@@ -145,14 +145,14 @@ class FreeDisplay(Display):
         images = {a for a, _ in self._mirrored}
         for number, block in enumerate(scene.blocks):
             for a in sorted(images, reverse=True):
-                name = f"block {number + 1}" + ("" if a > 0 else ", image")
+                name = f"block{number + 1}" + ("" if a > 0 else "_image")
                 line = self._cropped(block) * [a, 1.0]
                 found.append(_drawn_out(name, line, OTHER, False, low, deep))
         for wall in scene.walls:
             drawn = wall.drawn()
             if drawn is not None:
                 for a, b in self._mirrored:
-                    name = wall.name + ("" if a > 0 and b > 0 else f", image {a:+.0f} {b:+.0f}")
+                    name = wall.name + ("" if a > 0 else "_left") + ("" if b > 0 else "_front")
                     found.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
         if scene.gate:
             found.append(_drawn_out("gate", self._cropped(scene.gate), OTHER, True, low, deep))

@@ -89,14 +89,13 @@ def _spread_of_theory(k: Known) -> float | None:
     return long_heap_spread(whole, concrete.yield_stress, concrete.density, k.scene.gravity)
 
 
-def _funnel_of_theory(k: Known) -> float | None:
-    if not k.is_funnel:
-        return None
-    size, concrete = k.scene.dimensions, k.scene.concrete
+def funnel_estimate(scene: FreeScene) -> float | None:
+    """Time in which a funnel's scene empties by closed forms [s]; None where the yield stress holds it."""
+    size, concrete = scene.dimensions, scene.concrete
     halves = (size["outlet_width"] / 2, size["top_width"] / 2)
     heights = (size["outlet_height"], size["outlet_height"] + size["cone_height"])
     time = funnel_time(halves, heights, size["breadth"], concrete.viscosity, concrete.yield_stress, concrete.density,
-                       k.scene.gravity)  # fmt: skip
+                       scene.gravity)  # fmt: skip
     return time if math.isfinite(time) else None
 
 
@@ -144,7 +143,7 @@ QUANTITIES = (
     Quantity("t500", "s", lambda k: k.when("spread", T500) if k.is_slump else None, "T500", None, True),
     Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True) if k.is_funnel else None, "funnel time",
              _with_time("funnel_time", "ducts in a row"), True),
-    Quantity("funnel_time_theory", "s", _funnel_of_theory),
+    Quantity("funnel_time_theory", "s", lambda k: funnel_estimate(k.scene) if k.is_funnel else None),
     Quantity("remaining", "1", lambda k: k.last("inside") if k.is_funnel else None, "remaining",
              lambda run: f"{100 * run.result['remaining']:.1f} %"),
     Quantity("passing_ratio", "1", _ratio, "H2/H1", _ratio_words, True),
