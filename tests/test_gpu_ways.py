@@ -183,8 +183,8 @@ def test_flows_go_the_same_either_way(name):
 GRIDS = {
     "periodic pipe": lambda: scenes.tube(ends="periodic", length=0.1, yield_stress=400.0),
     "slump": lambda: scenes.slump(spacing=0.0125, yield_stress=500.0, lift_time=0.05),
-    "L-box": lambda: scenes.lbox(concrete="own", density=2300.0, viscosity=20.0, yield_stress=30.0, spacing=0.016,
-                                 lift_time=0.05, length=0.4, column_height=0.3),
+    "L-box": lambda: scenes.lbox(concrete="own", density=2300.0, viscosity=20.0, yield_stress=30.0, spacing=0.0167,
+                                 lift_time=0.02, length=0.22, column_height=0.2, width=0.1),
 }  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick):
             simulation.prepare()
             flow = simulation.flow
             assert flow.parallel == gpu == any(isinstance(stage, Loop) for stage in flow.step[0])
-            flow.take(30)
+            flow.take(15)
         found.append((flow.particles.position.numpy(), flow.particles.velocity.numpy(), flow.mesh.traction.numpy()))
     for one, two in zip(*found, strict=True):
         assert np.abs(one).max() > 1e-3 and two == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
