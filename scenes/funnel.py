@@ -14,8 +14,8 @@ from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
-VOLUME = 0.06
-"""Part of the volume that the surface may gain or lose; measured up to 0.05, in the last of the concrete."""
+VOLUME = 0.04
+"""Part of the volume that the surface may gain or lose; measured up to 0.023."""
 REMARKS = (
     "concrete sticks to the walls; a quarter is computed, between the planes of symmetry",
     "what leaves the outlet is gone: its weight does not pull",
