@@ -2,26 +2,31 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from test_grid_flows import dense, stages_through
 
 from warpcrete import scenes
+from warpcrete.core.device import find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.core.run_loop import Recorder
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 from warpcrete.kernels.mps.grid.bingham import bingham_functions
-from warpcrete.kernels.mps.grid.cells import cells_struct
+from warpcrete.kernels.mps.grid.cells import LIQUID, Kind, cells_struct
 from warpcrete.mps.free.layout import fill_cells, free_layout
 from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.mps.free.theory import box_at_rest, duct_stress, funnel_time
+from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import (
     BARE,
+    PLATE,
     ROUGH,
     WALL,
     Room,
@@ -30,8 +35,11 @@ from warpcrete.mps.grid.geometry import (
     polygon_distance,
     wall_distance,
 )
+from warpcrete.mps.grid.layout import GridLayout
+from warpcrete.mps.grid.state import GridState
+from warpcrete.mps.theory import Concrete
 from warpcrete.scenes import modules
-from warpcrete.verification.vessels import tilted_vessel
+from warpcrete.verification.vessels import between_cylinders, tilted_vessel
 
 OWN = {"concrete": "own", "density": 2300.0, "viscosity": 20.0, "yield_stress": 30.0}
 
@@ -105,6 +113,10 @@ def test_particles_weigh_what_there_is_of_cells_that_an_edge_passes():
 # Walls that cut cells.
 
 
+SLIPS = 2e5
+"""Viscosity of a slip layer [Pa s/m] that leaves most of the velocity to what is sheared."""
+
+
 @pytest.mark.parametrize(("speed", "inner", "gap"), [(0.01, 60.0, 2e-3), (0.03, 90.0, 4e-3), (0.05, 130.0, 1e-3)])
 def test_the_stress_of_a_wall_makes_the_velocity_at_a_point(speed, inner, gap):
     """Slip and the sheared layer up to the point, under a stress in a straight line, come to the velocity there is."""
@@ -114,7 +126,7 @@ def test_the_stress_of_a_wall_makes_the_velocity_at_a_point(speed, inner, gap):
     @wp.kernel(module="unique")
     def ask(g: Cells, speed: wp.float64, gap: wp.float64, inner: wp.float64, out: wp.array(dtype=wp.float64)):
         stress, growth, slip = law.near_wall(
-            g, speed, gap, inner, wp.float64(5e-3), wp.float64(8000.0), wp.float64(30.0)
+            g, speed, gap, inner, wp.float64(5e-3), wp.float64(SLIPS), wp.float64(30.0)
         )
         out[0] = stress
         out[1] = growth
@@ -133,16 +145,57 @@ def test_the_stress_of_a_wall_makes_the_velocity_at_a_point(speed, inner, gap):
     there = stress - (stress - min(inner, stress)) * y / 5e-3
     stiff = 20.0 + 100.0 * 50.0
     rate = np.maximum(there - 100.0, 0) / 20.0 + np.minimum(there, 100.0) / stiff
-    assert slip == pytest.approx((stress - 30.0) / 8000.0, rel=1e-5)
+    assert slip == pytest.approx((stress - 30.0) / SLIPS, rel=1e-5)
     assert slip + rate.mean() * gap == pytest.approx(speed, rel=2e-3)
     assert growth == pytest.approx((asked(1.0001 * speed)[0] - stress) / (1e-4 * speed), rel=0.05)
+
+
+def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device):
+    """Concrete that goes along a wall across the cells: what its faces feel adds up to the wall's length."""
+    n, h, layer = 40, 0.01, 10.0
+    normal = np.array([0.5, math.sqrt(0.75)])
+    room = Room((n, n), (h, h), (0.0, 0.0), ((BARE, BARE), (BARE, BARE)))
+    geometry = geometry_of(room, [(lambda x: (x - [0.2, 0.2]) @ normal, PLATE)])
+    nearest = nearest_wall(room, [(lambda x: (x - [0.2, 0.2]) @ normal, PLATE)])
+    places, mass = fill_cells(room, 3, lambda x: nearest(x)[0] > 0)
+    paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=0.0)
+    scene = SimpleNamespace(
+        concrete=paste, gravity=0.0, time_step=1e-3, regularisation=1e4, tolerance=1e-3, maximum_iterations=100
+    )
+    layout = GridLayout(
+        kind=Kind(2, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 3,
+        slip=(layer, 0.0), speed=1.0, length=0.1, geometry=geometry, full=True,
+    )  # fmt: skip
+    flow = GridFlow(GridState(scene, layout, find_device(device), "float64"))
+    along = np.array([-normal[1], normal[0]])
+    flow.particles.velocity.assign(np.tile(0.3 * along, (flow.count, 1)))
+    stages_through(flow, "wall_stress")
+    rubbed, traction, kinds = (flow.state.faces(name) for name in ("rubbed", "traction", "kind"))
+    length = 0.4 / normal[1]  # of the wall across the room, which it enters and leaves at its sides
+    for axis in range(2):
+        felt = rubbed[axis] > 0
+        assert np.all(kinds[axis][felt] == int(LIQUID))
+        assert rubbed[axis].sum() == pytest.approx(length, rel=0.03)
+        # The layer's resistance and, behind it, that of what is sheared up to the face, hardly any.
+        assert traction[axis][felt] == pytest.approx(layer * 0.3 * along[axis], rel=0.01)
+
+
+def test_what_flows_into_a_cut_cell_flows_out(device):
+    """Through the open parts of its faces, after one step from any velocities."""
+    flow = between_cylinders(device, "float64", 22)
+    rng = np.random.default_rng(5)
+    flow.particles.velocity.assign(0.05 * rng.normal(size=(flow.count, 2)))
+    flow.scene = dataclasses.replace(flow.scene, tolerance=1e-9)
+    flow.take(1)
+    u, w = (velocity * part for velocity, part in zip(flow.state.faces("velocity"), flow.state.layout.geometry.part))
+    out = u[1:-1, 2:] - u[1:-1, 1:-1] + w[2:, 1:-1] - w[1:-1, 1:-1]
+    cut = (flow.state.cells("room") > 0) & (flow.state.cells("room") < 1)
+    assert cut.sum() > 50 and np.abs(u).max() > 1e-3 and np.abs(out).max() < 1e-5 * np.abs(u).max()
 
 
 @pytest.mark.parametrize("scene", [tilted_vessel(), tilted_vessel(depth=0.05, spacing=0.02, tolerance=1e-3)])
 def test_forces_in_any_vessel_are_the_derivative_of_one_dissipation(device, scene):
     """The matrix is symmetric and positive, in a plane and in space, beside walls that cut cells."""
-    from test_grid_flows import dense, stages_through
-
     simulation = FreeSimulation(dataclasses.replace(scene, spacing=0.02), device=device, precision="float64")
     simulation.prepare()
     flow = simulation.flow

@@ -256,8 +256,10 @@ def wall_kernel(scalar, of: Kind):
                         next = f.moved(c, b, 2 * side - 1)
                         o = f.at(g, next) + axis * g.slots
                         kind = mesh.kind[o]
-                        # A wall across the face's own way stretches what is before it.
-                        hidden = kind != LIQUID and kind != AIR and (b != axis or kind != FIXED)
+                        hidden = kind != LIQUID and kind != AIR
+                        if b == axis:
+                            # A wall across the face's own way stretches what is before it; beyond an open side is none.
+                            hidden = hidden and kind != FIXED and next[b] >= 0 and next[b] <= g.n[b]
                         if hidden and not smooth(g, mesh, next, axis):
                             # The wall's normal has this share along the axis.
                             share = wp.clamp((gap - geometry.gap[o]) / g.width[b], scalar(0.0), scalar(1.0))
@@ -324,8 +326,9 @@ def sliver_kernel(scalar, of: Kind):
                 sum = scalar(0.0)
                 count = scalar(0.0)
                 for n in range(2 * dims):
-                    o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1)) + axis * g.slots
-                    if mesh.kind[o] == LIQUID:
+                    next = f.moved(c, n / 2, 2 * (n % 2) - 1)
+                    o = f.at(g, next) + axis * g.slots
+                    if next[n / 2] <= g.n[n / 2] and mesh.kind[o] == LIQUID:
                         # What is open of the face lies at about this distance from the wall.
                         here = scalar(0.5) * geometry.part[r] * g.width[n / 2]
                         share = wp.min(here / geometry.gap[o], scalar(1.0))

@@ -64,8 +64,8 @@ class GridState:
         drive[int(FORCE)] = layout.drive
         full = np.zeros(self.shape, np.int32)  # what is full stays so
         if layout.periodic or layout.full:
-            full[:] = layout.solid == NONE
-            full[0] = full[-1] = 0
+            inner = (slice(1, -1),) * layout.axes
+            full[inner] = layout.solid[inner] == NONE
         full = full.ravel()
         own = {
             "solid": layout.solid.ravel(), "drive": drive, "fill": full, "liquid": full,
