@@ -22,12 +22,14 @@ GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
 """Between bars, by their number [m] (EN 12350-10)."""
 THICK = 2.5
 """Cells of which the column's front wall and the gate are thick."""
+FEWEST = 3
+"""Cells over the opening, at least."""
 SEEN = 1.5
 """Cells across a bar, at least."""
 AROUND = 24
 """Sides of a bar's prism."""
 VOLUME = 0.07
-"""Part of the volume that the surface may gain or lose; measured up to 0.055 at 12.5 mm, in thin layers."""
+"""Part of the volume that the surface may gain or lose; measured up to 0.062, at 8 mm with bars."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,16 @@ def scene(parameters: BoxParameters) -> FreeScene:
     if given.bars and given.spacing > given.bar_diameter / SEEN:
         refuse("spacing", given.spacing, f"hardly sees bars of {1e3 * given.bar_diameter:g} mm",
                f"take {given.bar_diameter / SEEN:.2g} m or less, or bars = 0")  # fmt: skip
+    if given.opening < FEWEST * given.spacing:
+        refuse("opening", given.opening, f"must leave {FEWEST} cells", f"take {FEWEST * given.spacing:.2g} m, or "
+               "a finer spacing")  # fmt: skip
+    smallest = min(given.column_width, given.width / 2)
+    if given.spacing > smallest / 4:
+        refuse("spacing", given.spacing, "must leave four cells across the column and half the box",
+               f"take {smallest / 4:.3g} m or less")  # fmt: skip
+    outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
+    if given.bars and outermost > given.width / 2:
+        refuse("width", given.width, f"has no room for {given.bars} bars", f"take {2 * outermost:.3g} m or more")
     gate, opening, top = given.column_width, given.opening, given.column_height
     thick = THICK * given.spacing
     high = top + 3 * given.spacing

@@ -222,8 +222,46 @@ def test_what_comes_through_an_open_side_is_gone(device):
     assert left == pytest.approx(math.sqrt(2 * 0.1 / 9.81), abs=0.015)
 
 
+def test_nothing_rubs_beyond_an_open_side(device):
+    """Concrete that leaves through the right side feels the floor alone."""
+    outline = ((-0.1, -0.1), (0.5, -0.1), (0.5, 0.2), (-0.1, 0.2))
+    scene = tilted_vessel(blocks=(), sides={"right": "open", "top": "open"}, spacing=0.02, outline=outline, height=0.2)
+    simulation = FreeSimulation(scene, device=device)
+    simulation.prepare()
+    simulation.flow.take(3)
+    state = simulation.state
+    h, nx = state.layout.spacing, state.layout.cells[0]
+    across, up = state.faces("rubbed") / h
+    assert across[1:-1, nx + 1] == pytest.approx([1.0] + [0.0] * (state.layout.cells[1] - 1))
+    assert up[:, 1] == pytest.approx([0, 0] + [1.0] * (state.layout.cells[1] - 1) + [1.0 if up[-1, 1] else 0.0])
+    assert np.all(up[:, 2:] == 0)
+
+
+def test_rates_of_shear_in_space_are_those_of_all_pairs(device):
+    """Of a linear flow: viscosity in cells and at edges is that of the whole rate."""
+    simulation = FreeSimulation(
+        tilted_vessel(depth=0.1, blocks=(), spacing=0.02, tolerance=1e-3,
+                      concrete=Concrete(density=2000.0, viscosity=10.0, yield_stress=100.0, slip_viscosity=1e8,
+                                        slip_yield=0.0)),
+        device=device, precision="float64",
+    )  # fmt: skip
+    simulation.prepare()
+    flow = simulation.flow
+    slope = np.array([[0.3, 0.7, -0.4], [0.2, -0.5, 1.1], [0.6, -0.3, 0.2]])
+    flow.particles.velocity.assign(flow.particles.position.numpy() @ slope.T)
+    flow.particles.gradient.assign(np.tile(slope, (flow.count, 1, 1)))
+    stages_through(flow, "viscosity")
+    rate = math.sqrt(0.5 * np.sum((slope + slope.T) ** 2))
+    state = flow.state
+    wanted = 10.0 + 100.0 / rate
+    inner = (slice(2, 6), slice(2, 4), slice(4, -4))
+    assert state.cells("in_cell")[inner] == pytest.approx(wanted, rel=1e-6)
+    edges = state.mesh.in_corner.numpy().reshape(3, *state.shape)[:, 3:6, 3:4, 4:-4]
+    assert edges == pytest.approx(wanted, rel=1e-6)
+
+
 def test_no_particle_is_within_a_wall(device):
-    """Nor does one that starts to flow get there: behind the gate, around the bars."""
+    """Nor does one that starts to flow get there, but by rounding off a bar: behind the gate, around the bars."""
     scene = scenes.lbox(**OWN, bars=3, spacing=0.008, lift_time=0.05, duration=0.16, column_height=0.3, length=0.24,
                         width=0.14)  # fmt: skip
     simulation = FreeSimulation(scene, device=device)
@@ -345,7 +383,8 @@ def test_what_is_drawn_of_a_room_in_space(scene):
         ("funnel", {"time_step": 0.02}, "time_step"), ("lbox", {"bars": 4}, "bars"),
         ("lbox", {"bars": 3}, "spacing"), ("lbox", {"length": 0.1}, "length"),
         ("lbox", {"column_height": 0.1}, "column_height"), ("lbox", {"surfaces": "wet"}, "surfaces"),
-        ("lbox", {"surfaces": "slips"}, "slip_viscosity"),
+        ("lbox", {"surfaces": "slips"}, "slip_viscosity"), ("lbox", {"opening": 0.02}, "opening"),
+        ("lbox", {"spacing": 0.04}, "spacing"), ("lbox", {"bars": 3, "spacing": 0.006, "width": 0.08}, "width"),
     ],
 )  # fmt: skip
 def test_what_funnel_and_box_refuse(name, given, field):
@@ -357,7 +396,11 @@ def test_what_funnel_and_box_refuse(name, given, field):
     ("given", "field"),
     [
         ({"axial": True, "depth": 0.1}, "depth"), ({"sides": {"above": "open"}}, "sides"),
-        ({"sides": {"top": "wet"}}, "sides"), ({"depth": -1.0}, "depth"),
+        ({"sides": {"top": "wet"}}, "sides"), ({"depth": -1.0}, "depth"), ({"sides": {"front": "wall"}}, "sides"),
+        ({"axial": True, "sides": {"left": "open"}}, "sides"), ({"outline": ()}, "outline"),
+        ({"outline": ((2.0, 2.0), (3.0, 2.0), (3.0, 3.0))}, "outline"), ({"blocks": (((0.1, 0.1),),)}, "blocks"),
+        ({"test": "lbox"}, "dimensions"), ({"test": "funnel"}, "dimensions"),
+        ({"sides": {"bottom": "open"}, "time_step": 0.01}, "time_step"),
         ({"walls": (PlaneWall(name="p", point=(0, 0, 0), normal=(0, 0, 1)),)}, "walls"),
         ({"depth": 0.1, "walls": (PlaneWall(name="p", point=(0, 0, 0), normal=(0, 0, 1),
                                             motion=Prescribed(velocity=(1, 0, 0))),)}, "motion"),

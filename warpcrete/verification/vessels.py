@@ -93,7 +93,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """A periodic round pipe off the middle of a grid in space, so many cells across and a tenth more."""
+    """A periodic round pipe off the middle of a grid in space that has so many cells across, a tenth more than it."""
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
                 ((WALL, WALL), (WALL, WALL), (BARE, BARE)))  # fmt: skip

@@ -255,11 +255,11 @@ def wall_kernel(scalar, of: Kind):
                     for side in range(2):
                         next = f.moved(c, b, 2 * side - 1)
                         o = f.at(g, next) + axis * g.slots
-                        kind = mesh.kind[o]
-                        hidden = kind != LIQUID and kind != AIR
-                        if b == axis:
-                            # A wall across the face's own way stretches what is before it; beyond an open side is none.
-                            hidden = hidden and kind != FIXED and next[b] >= 0 and next[b] <= g.n[b]
+                        kind = AIR
+                        if b != axis or (next[b] >= 0 and next[b] <= g.n[b]):  # beyond an open side there is no wall
+                            kind = mesh.kind[o]
+                        # A wall across the face's own way stretches what is before it.
+                        hidden = kind != LIQUID and kind != AIR and (b != axis or kind != FIXED)
                         if hidden and not smooth(g, mesh, next, axis):
                             # The wall's normal has this share along the axis.
                             share = wp.clamp((gap - geometry.gap[o]) / g.width[b], scalar(0.0), scalar(1.0))

@@ -308,7 +308,8 @@ def extend_kernel(scalar, of: Kind):
                                 sum += before[o]
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
-                            if mesh.kind[r] == INSIDE and (along != axis or wp.static(of.cut)):
+                            # A face on the frame's far side has no cell before it, and is in no wall.
+                            if mesh.kind[r] == INSIDE and c[axis] >= 0 and (along != axis or wp.static(of.cut)):
                                 sum += across(g, mesh, geometry, c, axis, r, o)
                             else:
                                 sum += mesh.velocity[o]

@@ -42,6 +42,8 @@ class FreeDisplay(Display):
     def _mirrored(self) -> list[tuple[float, float]]:
         """Signs of the first two coordinates of what is drawn of a room in space: of itself, and of its images."""
         sides = self.simulation.scene.sides
+        if not self._solid:
+            return [(1.0, 1.0)]
         across = (1.0, -1.0) if sides.get("left") == MIRROR else (1.0,)
         deep = (1.0, -1.0) if sides.get("front") == MIRROR else (1.0,)
         return [(a, b) for a in across for b in deep]

@@ -76,8 +76,11 @@ def _duration(scene: FreeScene, device: str, precision: str) -> tuple[float, lis
         if estimate is None:
             return scene.duration, ["its yield stress may hold the concrete in the funnel"]
         return min(LONGER * estimate, scene.duration), []
-    height = max(y for _, y in scene.outline)
-    spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(np.array(scene.outline), axis=0)) / 4)
+    if scene.depth:
+        # A coarser copy would not see what concrete has to pass.
+        return scene.duration, ["the time until it rests is not foretold: this is the longest"]
+    height = scene.extent[1, 1]
+    spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(scene.extent, axis=0)) / 4)
     simulation = FreeSimulation(replace(scene, spacing=spacing), device=device, precision=precision)
     try:
         run = simulation.run()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...core.errors import refuse
 from ...kernels.mps.grid.cells import Kind
 from ..grid.geometry import (
     BARE,
@@ -70,7 +71,9 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
     places, mass = fill_cells(room, abreast, concrete)
     slip = (scene.concrete.slip_viscosity, scene.concrete.slip_yield) if scene.plate_slips else (STICKS, 0.0)
-    size = float(np.ptp(np.array(scene.outline), axis=0).min())
+    if len(places) == 0:
+        refuse("outline", scene.outline, "holds no concrete: walls fill it", "move it, or the walls")
+    size = float(np.ptp(scene.extent, axis=0).min())
     return GridLayout(
         kind=Kind(axes, axial=scene.axial, cut=True),
         room=room,

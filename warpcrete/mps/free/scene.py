@@ -20,6 +20,11 @@ from ..theory import Concrete
 TESTS = ("slump", "funnel", "lbox", "none")
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Of the room, along each axis."""
+NEEDED = {
+    "funnel": ("outlet_width", "top_width", "outlet_height", "cone_height", "breadth"),
+    "lbox": ("column_width", "width"),
+}
+"""Dimensions that a test's quantities go by."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon across (radius, or width) and up [m]."""
@@ -55,7 +60,7 @@ class FreeScene(FreeSettings):
 
     name: str
     test: str
-    """Whose outcome is measured: a cone's slump and spread, or none."""
+    """Whose outcome is measured, of TESTS."""
     concrete: Concrete
     axial: bool
     """About an axis at x = 0; else in a plane, by the metre of depth, or in space."""
@@ -108,22 +113,47 @@ class FreeScene(FreeSettings):
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
             one_of(f"sides[{name}]", kind, (WALL, MIRROR, BARE))
+            if name in SIDES[1] and not self.depth:
+                refuse("sides", name, "is a side of a room in space", "give the room a depth, or leave it out")
+            if name == "left" and self.axial:
+                refuse("sides", name, "is the axis", "leave it out")
+        for name in ("outline", "gate", *(f"blocks[{n}]" for n in range(len(self.blocks)))):
+            points = self.blocks[int(name[7:-1])] if name.startswith("blocks") else getattr(self, name)
+            if name == "gate" and not points:
+                continue
+            corners = np.array(points, dtype=float)
+            if corners.ndim != 2 or corners.shape[0] < 3 or corners.shape[1] != 2 or not np.isfinite(corners).all():
+                refuse(
+                    name, points, "must be three corners or more, finite, of two numbers each [m]", "name them in turn"
+                )
+        missing = [key for key in NEEDED.get(self.test, ()) if key not in self.dimensions]
+        if missing:
+            refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}", "")
+        if self.test == "lbox" and not self.depth:
+            refuse("depth", self.depth, "must be above 0 for test 'lbox'", "give half the box's width")
+        if np.any(np.ptp(self.extent, axis=0) <= 0):
+            refuse("outline", self.outline, f"must lie within the room, {self.width:g} by {self.height:g} m", "move it")
         for wall in self.walls:
             if wall.motion is not None:
                 refuse(f"{wall.name}.motion", "given", "walls of a flow with a free surface stand still")
         between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
         if self.gate and not self.lift_speed:
             refuse("lift_speed", self.lift_speed, "never lifts the gate", "take some 0.1 m/s, or no gate")
-        smallest = min(np.ptp(self.outline, axis=0))
+        smallest = min(np.ptp(self.extent, axis=0))
         if self.spacing > smallest / 4:
             refuse("spacing", self.spacing, "must leave four cells across the concrete at the start",
                    f"take {smallest / 4:.3g} m or less")  # fmt: skip
         between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
-        lowest = 0.0 if "bottom" not in self.sides else float(np.min(np.array(self.outline)[:, 1]))
-        fall = float(np.sqrt(2 * self.gravity * (np.max(np.array(self.outline)[:, 1]) - lowest)))
+        fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if self.time_step * fall > self.spacing:
             refuse("time_step", self.time_step, f"lets concrete that falls at {fall:.3g} m/s pass more than a cell",
                    f"take {self.spacing / fall:.2g} s or less")  # fmt: skip
+
+    @property
+    def extent(self) -> np.ndarray:
+        """Lowest and highest corner of the outline within the room, shape (2, 2) [m]."""
+        corners = np.clip(np.array(self.outline, dtype=float), 0.0, [self.width, self.height])
+        return np.stack([corners.min(0), corners.max(0)])
 
     @property
     def form(self) -> str:

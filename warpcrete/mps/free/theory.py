@@ -1,4 +1,4 @@
-"""Where concrete of a yield stress comes to rest: closed forms of slump and spread.
+"""Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
 A long heap rests where the weight of its slope is borne by the plate (Roussel & Coussot 2005); a tall one where each
 layer has grown wide enough to bear what is above it (Murata 1984; for cones Schowalter & Christensen 1998). Murata's

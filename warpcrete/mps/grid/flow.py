@@ -67,7 +67,7 @@ class GridFlow:
     """Carries a state forward."""
 
     threads = 1
-    """That work on it on a CPU: grids of a plane are small."""
+    """That work on it on a CPU."""
     rebuilds = 0
     """Of lists of neighbours, which there are none of."""
 

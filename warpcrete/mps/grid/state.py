@@ -18,8 +18,7 @@ from .layout import GridLayout
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
 """What the next step depends on."""
-FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift", "gap", "part", "shut",
-         "surface")  # fmt: skip
+FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
 """Arrays that have a row for each face; those of EDGES one for each edge, `bin` BIN a cell, the rest one."""
 EDGES = ("in_corner", "besides")
 STICKS = 1e8
@@ -163,7 +162,7 @@ def grid_numbers(state: GridState) -> Any:
         width=layout.room.width,
         origin=layout.room.origin,
         frame=layout.frame,
-        gravity=getattr(scene, "acceleration", None) or down,
+        gravity=down,
         dt=scene.time_step,
         density=concrete.density,
         viscosity=concrete.viscosity,
