@@ -1,5 +1,4 @@
-"""L-box: how far concrete flows from a column, between bars, and how level it comes to rest (EN 12350-10), as a flow
-on a grid in space."""
+"""L-box: how far and how level concrete flows, between bars or without (EN 12350-10), as a flow on a grid in space."""
 
 from __future__ import annotations
 
