@@ -222,6 +222,17 @@ def test_what_comes_through_an_open_side_is_gone(device):
     assert left == pytest.approx(math.sqrt(2 * 0.1 / 9.81), abs=0.015)
 
 
+def test_a_surface_lies_where_it_is_over_slanted_walls(device):
+    """Base and thickness of what rests in a tilted vessel add up to the level it was filled to."""
+    simulation = FreeSimulation(tilted_vessel(duration=0.1), device=device)
+    run = simulation.run()
+    surface = {name: np.array(run.result["surface"][name]["value"]) for name in ("place", "base", "height")}
+    wet = surface["height"] > 0.02
+    assert wet.sum() > 10
+    assert (surface["base"] + surface["height"])[wet] == pytest.approx(0.2, abs=0.004)
+    assert run.series["top"][-1] == pytest.approx(0.2, abs=0.004)
+
+
 def test_nothing_rubs_beyond_an_open_side(device):
     """Concrete that leaves through the right side feels the floor alone."""
     outline = ((-0.1, -0.1), (0.5, -0.1), (0.5, 0.2), (-0.1, 0.2))

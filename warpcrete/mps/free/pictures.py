@@ -19,10 +19,12 @@ def plot_free(run: Run) -> Any:
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     shape, course = figure.subplots(1, 2, width_ratios=[1.4, 1])
     if "surface" in run.result:
-        place, height = (1e3 * np.array(run.result["surface"][name]["value"]) for name in ("place", "height"))
+        place, base, height = (
+            1e3 * np.array(run.result["surface"][name]["value"]) for name in ("place", "base", "height")
+        )
         if scene.axial:
-            place, height = np.concatenate([-place[::-1], place]), np.concatenate([height[::-1], height])
-        shape.fill_between(place, height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
+            place, base, height = -np.r_[place[::-1], -place], np.r_[base[::-1], base], np.r_[height[::-1], height]
+        shape.fill_between(place, base, base + height, color="0.75", label=f"after {run.series['time'][-1]:.3g} s")
     corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
     for side in (1, -1) if scene.axial else (1,):
         shape.plot(side * corners[:, 0], corners[:, 1], color="0.4", linewidth=0.8, linestyle=":")

@@ -37,6 +37,17 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     return across, full if layout.axes == 2 else full.mean(0)
 
 
+def bases(flow: GridFlow) -> np.ndarray:
+    """Where the concrete over each column of cells begins, on a floor or a sloping wall [m]; 0 where there is none."""
+    step, room = flow.state.layout.step, flow.state.cells("room")
+    full = flow.state.cells("fill") * room
+    if full.ndim == 3:
+        full, room = full.mean(1), room.mean(1)
+    lowest = np.argmax(full > 0, axis=0)
+    open_part = np.take_along_axis(room, lowest[None], 0)[0]
+    return np.where((full > 0).any(0), (lowest + 1 - open_part) * step, 0.0)
+
+
 def reach(flow: GridFlow) -> float:
     """How far the concrete has come from the axis or the left side, wherever it is widest [m]."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
@@ -113,7 +124,7 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
     inside = float(np.sum(state.particles.mass.numpy().astype(float)) / np.sum(layout.mass))
     return {
         "time": flow.time,
-        "top": float(height.max()),
+        "top": float((bases(flow) + height).max()),
         "spread": 2 * far if layout.axial else far,
         "inside": inside,
         "fastest": float(speed.max()) if len(speed) else 0.0,

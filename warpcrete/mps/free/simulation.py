@@ -17,7 +17,7 @@ from ..grid.state import GridState, check_memory
 from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
-from .probes import MORE, UNITS, measured, reach, surface
+from .probes import MORE, UNITS, bases, measured, reach, surface
 from .quantities import LIGHT, QUANTITIES, Known
 from .scene import FreeScene
 
@@ -109,7 +109,8 @@ class FreeSimulation(FlowRun):
             result |= results_of(QUANTITIES, Known(scene, series, self.volume))
             across, height = surface(flow)
             result["surface"] = {
-                "place": {"value": across.tolist(), "unit": "m"}, "height": {"value": height.tolist(), "unit": "m"},
+                "place": {"value": across.tolist(), "unit": "m"},
+                "base": {"value": bases(flow).tolist(), "unit": "m"}, "height": {"value": height.tolist(), "unit": "m"},
             }  # fmt: skip
         result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())

@@ -28,9 +28,11 @@ from ...kernels.mps.conjugate_gradient import (
     parallel_start,
     serial_solver,
 )
-from ...kernels.mps.grid.forces import momentum_kernel, side_kernel, sliver_kernel, viscosity_kernels, wall_kernel
+from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
+from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
-from ...kernels.mps.grid.transfer import advect_kernel, bin_kernels, extend_kernel, gather_kernel, lift_kernel
+from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
+from ...kernels.mps.grid.walls import side_kernel, sliver_kernel, wall_kernel
 from ...kernels.mps.motion import finish
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR

@@ -1,0 +1,135 @@
+"""Which particles are in which cell, how full cells are, and what a gate has opened."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ...common.control import HALTED, STEPS
+from ..structs import mps_types
+from .cells import BIN, OPEN, Kind, cells_struct, grid_functions, grid_structs
+
+
+@functools.cache
+def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
+    """Kernels `clear`, `sort`, `order` and `fill`: which particles are in which cell, which cells are full."""
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    f = grid_functions(scalar, of)
+    t = mps_types(scalar, dims)
+    vec, whole = t.vec, t.whole
+    around = 3**dims
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def clear(mesh: Mesh):
+        """A task a slot: no particles."""
+        mesh.count[wp.tid()] = 0
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sort(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
+        """A task a particle: into its cell's bin."""
+        if flags[HALTED] != 0:
+            return
+        p = wp.tid()
+        if particles.mass[p] == scalar(0.0):
+            return
+        c = f.cell_of(g, particles.position[p])
+        place = wp.atomic_add(mesh.count, c, 1)
+        if place < BIN:
+            mesh.bin[c * BIN + place] = p
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def order(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        """A task a slot: particles of a cell in the order of their numbers, for equal sums."""
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        if not f.in_grid(g, f.cell(g, number)):
+            return
+        count = wp.min(mesh.count[number], BIN)
+        mesh.count[number] = count
+        begin = number * BIN
+        for a in range(1, count):
+            own = mesh.bin[begin + a]
+            b = a
+            while b > 0 and mesh.bin[begin + b - 1] > own:
+                mesh.bin[begin + b] = mesh.bin[begin + b - 1]
+                b -= 1
+            mesh.bin[begin + b] = own
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Mesh):
+        """A task a slot: how much of a cell concrete fills, by the particles around its middle.
+
+        A flat surface spreads over two cells; half as steep again, and cut at nothing and all, it holds as much, and
+        how particles lie within the concrete does not matter.
+        """
+        if flags[HALTED] != 0:
+            return
+        number = wp.tid()
+        c = f.cell(g, number)
+        if not f.in_grid(g, c):
+            return
+        part = scalar(0.0)
+        crowd = scalar(1.0)
+        if mesh.solid[number] == OPEN:
+            place = vec()
+            for b in range(dims):
+                place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
+            sum = scalar(0.0)
+            for n in range(around):
+                o = whole()
+                rest = n
+                for b in range(dims):
+                    o[b] = c[b] + rest % 3 - 1
+                    rest = rest / 3
+                if f.in_grid(g, o):
+                    other = f.at(g, o)
+                    for k in range(mesh.count[other]):
+                        p = mesh.bin[other * BIN + k]
+                        d = particles.position[p] - place
+                        near = scalar(1.0)
+                        for b in range(dims):
+                            near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+                        sum += near * particles.mass[p]
+            crowd = sum * g.volume / geometry.hold[number]
+            part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
+        mesh.crowd[number] = crowd
+        mesh.fill[number] = part
+        mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)
+
+    return SimpleNamespace(clear=clear, sort=sort, order=order, fill=fill)
+
+
+@functools.cache
+def lift_kernel(scalar, of: Kind):
+    """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
+    dims, places = of.dimensions, 2**of.dimensions
+    Cells = cells_struct(scalar, dims)
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def lift(
+        g: Cells, flags: wp.array(dtype=wp.int32), after: Geometry, solid_after: wp.array(dtype=wp.int32),
+        geometry: Geometry, mesh: Mesh,
+    ):  # fmt: skip
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        if scalar(flags[STEPS]) * g.dt >= geometry.opens[c]:
+            mesh.solid[c] = solid_after[c]
+            for k in range(places):
+                geometry.depth[c * places + k] = after.depth[c * places + k]
+            geometry.room[c] = after.room[c]
+            geometry.hold[c] = after.hold[c]
+            for axis in range(dims):
+                r = c + axis * g.slots
+                geometry.gap[r] = after.gap[r]
+                geometry.part[r] = after.part[r]
+                geometry.shut[r] = after.shut[r]
+                geometry.surface[r] = after.surface[r]
+
+    return lift
