@@ -38,14 +38,15 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bases(flow: GridFlow) -> np.ndarray:
-    """Where the concrete over each column of cells begins, on a floor or a sloping wall [m]; 0 where there is none."""
+    """Where the concrete over each column of cells begins [m], 0 where there is none; what is wall in a wet cell counts
+    as below the concrete.
+    """
     step, room = flow.state.layout.step, flow.state.cells("room")
     full = flow.state.cells("fill") * room
     if full.ndim == 3:
         full, room = full.mean(1), room.mean(1)
     lowest = np.argmax(full > 0, axis=0)
-    open_part = np.take_along_axis(room, lowest[None], 0)[0]
-    return np.where((full > 0).any(0), (lowest + 1 - open_part) * step, 0.0)
+    return np.where((full > 0).any(0), (lowest + ((1 - room) * (full > 0)).sum(0)) * step, 0.0)
 
 
 def reach(flow: GridFlow) -> float:
