@@ -106,7 +106,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 @functools.cache
 def lift_kernel(scalar, of: Kind):
     """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
-    dims, places = of.dimensions, 2**of.dimensions
+    dims, places, quarters = of.dimensions, 2**of.dimensions, 4 * of.pairs
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Mesh, Geometry = structs.Mesh, structs.Geometry
@@ -123,6 +123,8 @@ def lift_kernel(scalar, of: Kind):
             mesh.solid[c] = solid_after[c]
             for k in range(places):
                 geometry.depth[c * places + k] = after.depth[c * places + k]
+            for k in range(quarters):
+                geometry.nook[c * quarters + k] = after.nook[c * quarters + k]
             geometry.room[c] = after.room[c]
             geometry.hold[c] = after.hold[c]
             for axis in range(dims):

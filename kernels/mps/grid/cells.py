@@ -7,9 +7,10 @@ c + (a + b - 1) slots; in a plane, the lower left corner). Velocities are those 
 of a metre's depth, or of a radian.
 
 Walls are sides of cells, or (`Kind.cut`) pass through them: then a face has its distance from the nearest wall and an
-open part, a cell the part that there is room in. What flows in and out of a cell does so through the open parts, as in
-Ng, Min & Gibou (2009); a face whose middle is within a wall has no momentum of its own, and one beside such a face
-feels the wall at its distance, as in Gibou et al. (2002).
+open part, a cell and an edge the part that there is room in. What flows in and out of a cell does so through the open
+parts, as in Ng, Min & Gibou (2009). Shear and stretch count by what is open of edges and cells, as in Batty & Bridson
+(2008); faces within walls that these need are unknown too, and the wall rubs on the velocity where it is, between such
+a face and the next.
 """
 
 import functools
@@ -26,10 +27,10 @@ SMOOTH = wp.constant(2)  # wall that nothing rubs on: an axis, a plane of symmet
 GATE = wp.constant(3)  # wall that opens
 # Kinds of faces.
 AIR = wp.constant(0)  # no concrete on either side
-LIQUID = wp.constant(1)  # concrete on one side or both: unknown
+LIQUID = wp.constant(1)  # concrete on one side or both, which flows through it: unknown
 FIXED = wp.constant(2)  # side of a wall, which has its velocity across it
 INSIDE = wp.constant(3)  # within walls
-SLIVER = wp.constant(4)  # within a wall, but for its rim: concrete flows through it, as it does beside the wall
+GHOST = wp.constant(4)  # within a wall, of a cell or an edge that is not
 BIN = wp.constant(40)
 """Particles that a cell has room for; more do not count."""
 # Slots of `drive`.
@@ -116,10 +117,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=scalar)  # across a face [m/s]
         start: wp.array(dtype=scalar)  # that velocity before forces act [m/s]
         volume: wp.array(dtype=scalar)  # of concrete that a face stands for
-        rubbed: wp.array(dtype=scalar)  # area of walls along that volume
+        rubbed: wp.array(dtype=scalar)  # area of a pipe's walls along that volume
         traction: wp.array(dtype=scalar)  # stress of those walls, of the sign of the velocity [Pa]
         growth: wp.array(dtype=scalar)  # of that with the face's velocity [Pa s/m]
         slip: wp.array(dtype=scalar)  # velocity at those walls, of the face without any [m/s]
+        grip: wp.array(dtype=scalar)  # force of a wall between a face and the next along an axis over the velocity at
+        # the wall, shape (axes^2 * slots,) as the next: faces of the first axis and their next along each
+        pull: wp.array(dtype=scalar)  # that force at the known velocity
+        lean: wp.array(dtype=scalar)  # share of the next face in that velocity, the rest is the face's own
         shift: wp.array(dtype=scalar)  # velocity that moves particles off crowds [m/s]
         pressure: wp.array(dtype=scalar)  # in the cells [Pa], shape (slots,) as the next
         increment: wp.array(dtype=scalar)  # of the pressure in this step [Pa]
@@ -138,6 +143,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         depth: wp.array(dtype=scalar)  # distance from the nearest wall, negative in it, of two places of a cell along
         # each axis, a quarter and three quarters on [m], shape (slots * 2^axes,), the first axis fastest
         room: wp.array(dtype=scalar)  # part of a cell that is not wall, shape (slots,)
+        nook: wp.array(dtype=scalar)  # likewise, of the quarters of a cell around its edges of each pair, shape
+        # (slots * pairs * 4,), the pair's first axis fastest
         hold: wp.array(dtype=scalar)  # volume of what is open around its middle, weighted as particles are, (slots,)
         opens: wp.array(dtype=scalar)  # when what is shut here opens [s], shape (slots,); no rows where nothing does
         gap: wp.array(dtype=scalar)  # distance of a face's middle from the nearest wall [m], shape (axes * slots,) as
@@ -202,6 +209,15 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return found
 
     @wp.func
+    def reached(g: Cells, c: whole) -> wp.bool:
+        """Likewise; a periodic grid goes on."""
+        found = wp.bool(True)
+        for b in range(wp.static(last if of.periodic else dims)):
+            if c[b] < 0 or c[b] > g.n[b]:
+                found = False
+        return found
+
+    @wp.func
     def in_grid(g: Cells, c: whole) -> wp.bool:
         """Is the cell none of the frame's?"""
         found = wp.bool(True)
@@ -257,7 +273,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return at(g, c)
 
     return SimpleNamespace(
-        at=at, cell=cell, moved=moved, on_grid=on_grid, in_grid=in_grid, face_middle=face_middle,
+        at=at, cell=cell, moved=moved, on_grid=on_grid, reached=reached, in_grid=in_grid, face_middle=face_middle,
         side_weight=side_weight, cell_weight=cell_weight, cell_volume=cell_volume, face_area=face_area, block=block,
         cell_of=cell_of,
     )  # fmt: skip
@@ -272,7 +288,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
     vec3 = types(scalar).vec3
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Walls = structs.Mesh, structs.Walls
+    Mesh, Walls, Geometry = structs.Mesh, structs.Walls, structs.Geometry
     places = place_functions(scalar, of)
     at, moved, side_weight, cell_weight, block = (
         places.at, places.moved, places.side_weight, places.cell_weight, places.block,
@@ -283,20 +299,41 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
         return wp.where(kind == LIQUID, True, kind == FIXED)
 
     @wp.func
-    def flows(kind: wp.int32) -> wp.bool:
-        """Does concrete flow through the face?"""
-        return wp.where(kind == LIQUID, True, kind == SLIVER)
+    def open_area(g: Cells, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
+        """Of a face that concrete flows through."""
+        if wp.static(of.cut):
+            return places.face_area(g, c, axis) * geometry.part[at(g, c) + axis * g.slots]
+        return places.face_area(g, c, axis)
+
+    @wp.func
+    def unknown(kind: wp.int32) -> wp.bool:
+        """Do viscosity and walls change the face's velocity?"""
+        if wp.static(of.cut):
+            return kind == LIQUID or kind == GHOST
+        return kind == LIQUID
 
     @wp.func
     def sheared(kind: wp.int32) -> wp.bool:
-        """Has a face a velocity whose change beside it is a shear? What walls that cut cells do they do as walls."""
-        if wp.static(of.cut):
-            return kind == LIQUID
-        return known(kind)
+        """Has a face a velocity whose change beside it is a shear or a stretch?"""
+        return unknown(kind) or kind == FIXED
 
     @wp.func
-    def shear(g: Cells, mesh: Mesh, c: whole, pair: wp.int32):
-        """Rate of shear at an edge, and the volume of concrete that it stands for; none at walls and in the air."""
+    def wetness(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
+        """Part of what lies around an edge that concrete fills."""
+        a = wp.where(pair == 2, 1, 0)
+        b = wp.where(pair == 0, 1, 2)
+        sum = scalar(0.0)
+        for n in range(4):
+            o = at(g, moved(moved(c, a, -(n % 2)), b, -(n / 2)))
+            if wp.static(of.cut):
+                sum += mesh.fill[o] * geometry.nook[(o * wp.static(of.pairs) + pair) * 4 + n]
+            else:
+                sum += mesh.fill[o]
+        return scalar(0.25) * sum
+
+    @wp.func
+    def shear(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32):
+        """Rate of shear at an edge, and the volume of concrete that it stands for; none in the air."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
         here, left, below = at(g, c), at(g, moved(c, a, -1)), at(g, moved(c, b, -1))
@@ -306,9 +343,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
         if sheared(mesh.kind[u0]) and sheared(mesh.kind[u1]) and sheared(mesh.kind[w0]) and sheared(mesh.kind[w1]):
             rate = (mesh.velocity[u1] - mesh.velocity[u0]) / g.width[b]
             rate += (mesh.velocity[w1] - mesh.velocity[w0]) / g.width[a]
-            across = at(g, moved(moved(c, a, -1), b, -1))
-            wet = mesh.fill[here] + mesh.fill[left] + mesh.fill[below] + mesh.fill[across]
-            volume = scalar(0.25) * wet * side_weight(g, c) * block(g)
+            volume = wetness(g, mesh, geometry, c, pair) * side_weight(g, c) * block(g)
         return rate, volume
 
     @wp.func
@@ -320,7 +355,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             r = here + axis * g.slots
             s = at(g, moved(c, axis, 1)) + axis * g.slots
             if wp.static(of.cut):
-                both = known(mesh.kind[r]) and known(mesh.kind[s])
+                both = sheared(mesh.kind[r]) and sheared(mesh.kind[s])
                 if both:
                     rates[axis] = (mesh.velocity[s] - mesh.velocity[r]) / g.width[axis]
             else:
@@ -329,10 +364,10 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             right = at(g, moved(c, 0, 1))
             sum = mesh.velocity[here] + mesh.velocity[right]
             if wp.static(of.cut):
-                if not known(mesh.kind[here]):
+                if not sheared(mesh.kind[here]):
                     sum = scalar(2.0) * mesh.velocity[right]
-                if not known(mesh.kind[right]):
-                    sum = wp.where(known(mesh.kind[here]), scalar(2.0) * mesh.velocity[here], scalar(0.0))
+                if not sheared(mesh.kind[right]):
+                    sum = wp.where(sheared(mesh.kind[here]), scalar(2.0) * mesh.velocity[here], scalar(0.0))
             rates[2] = scalar(0.5) * sum / cell_weight(g, c)
         return rates
 
@@ -347,5 +382,6 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             return walls.velocity[wall][axis] + wp.cross(w, d)[axis]
 
     return SimpleNamespace(
-        **vars(places), known=known, flows=flows, shear=shear, stretch=stretch, wall_speed=wall_speed
-    )
+        **vars(places), known=known, open_area=open_area, unknown=unknown, sheared=sheared, wetness=wetness, shear=shear,
+        stretch=stretch, wall_speed=wall_speed,
+    )  # fmt: skip

@@ -20,7 +20,8 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
     """Kernels `rates` and `viscosity`: apparent viscosity of cells, then of edges, each for the whole rate of shear."""
     dims, pairs = of.dimensions, of.pairs
     Cells = cells_struct(scalar, dims)
-    Mesh = grid_structs(scalar, dims).Mesh
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, dims)
@@ -52,20 +53,20 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         return now
 
     @wp.func
-    def around(g: Cells, mesh: Mesh, c: whole, pair: wp.int32) -> scalar:
+    def around(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
         """Mean square of the rates at a cell's four edges of a pair, those that there are."""
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
             e = f.moved(f.moved(c, first(pair), n % 2), second(pair), n / 2)
-            rate, volume = f.shear(g, mesh, e, pair)
+            rate, volume = f.shear(g, mesh, geometry, e, pair)
             if volume > scalar(0.0):
                 sum += rate * rate
                 count += scalar(1.0)
         return sum / wp.max(count, scalar(1.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rates(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def rates(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -75,10 +76,10 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         square = scalar(2.0) * wp.length_sq(f.stretch(g, mesh, c))
         if wp.static(of.dimensions == 2):
             mesh.besides[number] = square
-            square += around(g, mesh, c, 0)
+            square += around(g, mesh, geometry, c, 0)
         else:
             first_pair, second_pair, third = (
-                around(g, mesh, c, 0), around(g, mesh, c, 1), around(g, mesh, c, 2),
+                around(g, mesh, geometry, c, 0), around(g, mesh, geometry, c, 1), around(g, mesh, geometry, c, 2),
             )  # fmt: skip
             mesh.besides[number] = square + second_pair + third
             mesh.besides[number + g.slots] = square + first_pair + third
@@ -88,7 +89,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         mesh.in_cell[number] = relaxed(mesh.in_cell[number], law.apparent(g, wp.sqrt(square)))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -97,7 +98,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             return
         for pair in range(pairs):
             place = number + pair * g.slots
-            rate, volume = f.shear(g, mesh, c, pair)
+            rate, volume = f.shear(g, mesh, geometry, c, pair)
             if volume > scalar(0.0):
                 sum = scalar(0.0)
                 count = scalar(0.0)
@@ -121,7 +122,8 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
     """Forces on the faces at the known velocities, and rows of the matrix of their implicit change."""
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
-    Mesh = grid_structs(scalar, dims).Mesh
+    structs = grid_structs(scalar, dims)
+    Mesh, Geometry = structs.Mesh, structs.Geometry
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
     f = grid_functions(scalar, of)
@@ -132,7 +134,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
         mesh: Mesh, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
     ) -> wp.int32:
         """One more neighbour in a row, if it is unknown; entries that there are then."""
-        if mesh.kind[near] != LIQUID:
+        if not f.unknown(mesh.kind[near]):
             return count
         place = entry(r, count, rows, matrix.near_capacity)
         matrix.near[place] = near
@@ -140,7 +142,9 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
         return count + 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def momentum(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh, matrix: Matrix, viscous: Solve):
+    def momentum(
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, matrix: Matrix, viscous: Solve
+    ):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -149,7 +153,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
         within = f.on_grid(g, c)
         if wp.static(not of.cut):
             if within:
-                edge_rate, edge_volume = f.shear(g, mesh, c, 0)
+                edge_rate, edge_volume = f.shear(g, mesh, geometry, c, 0)
                 if edge_volume > scalar(0.0):
                     # Half the way: what takes this stress into account is of the next step, and would swing.
                     mesh.stress[number] = scalar(0.5) * (mesh.stress[number] + edge_rate * mesh.in_corner[number])
@@ -158,21 +162,38 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
             count = wp.int32(0)
             diagonal = scalar(0.0)
             force = scalar(0.0)
-            unknown = within and mesh.kind[r] == LIQUID
+            kind = mesh.kind[r]
+            # Those within a wall along the frame are a cell outside.
+            unknown = (within or wp.static(of.cut)) and f.unknown(kind)
             if unknown:
                 volume = mesh.volume[r]
                 mesh.start[r] = mesh.velocity[r]
                 low = f.at(g, f.moved(c, axis, -1))
                 diagonal = g.density * volume / g.dt
-                force = f.face_area(g, c, axis) * (mesh.pressure[low] - mesh.pressure[number])
-                force += volume * g.density * g.gravity[axis]
-                if wp.static(of.periodic):
-                    if axis == wp.static(of.dimensions - 1):
-                        force += volume * scalar(mesh.drive[FORCE])
+                if kind == LIQUID:
+                    force = f.open_area(g, geometry, c, axis) * (mesh.pressure[low] - mesh.pressure[number])
+                    force += volume * g.density * g.gravity[axis]
+                    if wp.static(of.periodic):
+                        if axis == wp.static(of.dimensions - 1):
+                            force += volume * scalar(mesh.drive[FORCE])
                 for b in range(dims):
                     for side in range(2):
                         way = wp.where(side == 0, scalar(1.0), scalar(-1.0))
                         next = f.at(g, f.moved(c, b, 2 * side - 1)) + axis * g.slots
+                        other = scalar(0.0)
+                        if wp.static(of.cut):
+                            # What a wall rubs on between this face and the next.
+                            lower = f.moved(c, b, side - 1)
+                            if wp.static(of.periodic) and b == wp.static(of.dimensions - 1) or (
+                                lower[b] >= -1 and lower[b] < g.n[b]
+                            ):
+                                k = (axis * dims + b) * g.slots + f.at(g, lower)
+                                grip = mesh.grip[k]
+                                if grip > scalar(0.0):
+                                    share = wp.where(side == 0, mesh.lean[k], scalar(1.0) - mesh.lean[k])
+                                    force -= share * mesh.pull[k]
+                                    diagonal += share * share * grip
+                                    other = -share * (scalar(1.0) - share) * grip
                         if b == axis:
                             # Stretch of the cell on this side.
                             along = g.width[axis]
@@ -180,46 +201,48 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                             o = f.at(g, cell)
                             if mesh.liquid[o] != 0:
                                 both = scalar(2.0) * mesh.fill[o] * f.cell_volume(g, cell) * mesh.in_cell[o]
+                                if wp.static(of.cut):
+                                    both *= geometry.room[o]
                                 rates = f.stretch(g, mesh, cell)
                                 own = scalar(0.0)
-                                other = scalar(0.0)
-                                if f.known(mesh.kind[next]):
+                                if f.sheared(mesh.kind[next]):
                                     force -= both * way * rates[axis] / along
                                     own = both / (along * along)
-                                    other = own
+                                    other += own
                                 if wp.static(of.axial):
                                     if axis == 0:
                                         half = scalar(0.5) / f.cell_weight(g, cell)
-                                        if not f.known(mesh.kind[next]):
+                                        if not f.sheared(mesh.kind[next]):
                                             half = scalar(2.0) * half
                                         else:
                                             other -= both * half * half
                                         force -= both * rates[2] * half
                                         own += both * half * half
                                 diagonal += own
-                                if other != scalar(0.0):
-                                    count = put(mesh, matrix, rows, r, count, next, other)
-                        else:
+                        elif wp.static(not of.cut) or f.reached(g, f.moved(c, b, side)):
                             # Shear of the edge at this end.
                             across = g.width[b]
                             edge = f.moved(c, b, side)
                             pair = axis + b - 1
-                            rate, wet = f.shear(g, mesh, edge, pair)
+                            rate, wet = f.shear(g, mesh, geometry, edge, pair)
                             if wet > scalar(0.0):
                                 e = f.at(g, edge)
                                 both = wet * mesh.in_corner[e + pair * g.slots]
                                 force -= both * way * rate / across
                                 own = both / (across * across)
                                 diagonal += own
-                                count = put(mesh, matrix, rows, r, count, next, own)
+                                other += own
                                 cross = way * both / (across * g.width[axis])
                                 other_axis = b * g.slots
                                 count = put(mesh, matrix, rows, r, count, e + other_axis, -cross)
                                 behind = f.at(g, f.moved(edge, axis, -1)) + other_axis
                                 count = put(mesh, matrix, rows, r, count, behind, cross)
-                area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.rubbed[r]
-                force -= area * mesh.traction[r]
-                diagonal += area * mesh.growth[r]
+                        if other != scalar(0.0):
+                            count = put(mesh, matrix, rows, r, count, next, other)
+                if wp.static(not of.cut):
+                    area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.rubbed[r]
+                    force -= area * mesh.traction[r]
+                    diagonal += area * mesh.growth[r]
             matrix.free[r] = wp.where(unknown, 0, 1)
             matrix.near_count[r] = count
             matrix.diagonal[r] = diagonal

@@ -45,15 +45,10 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
                 for side in range(2):
                     face = f.moved(c, axis, side)
                     r = f.at(g, face) + axis * g.slots
-                    kind = mesh.kind[r]
-                    area = f.face_area(g, face, axis)
-                    open = area
-                    if wp.static(of.cut):
-                        open = area * geometry.part[r]
-                    if f.flows(kind) or wp.static(not of.cut):
-                        into += wp.where(side == 0, open, -open) * mesh.velocity[r]
-                    if f.flows(kind):
-                        ease = open * area / mesh.volume[r]
+                    area = f.open_area(g, geometry, face, axis)
+                    into += wp.where(side == 0, area, -area) * mesh.velocity[r]
+                    if mesh.kind[r] == LIQUID:
+                        ease = area * area / mesh.volume[r]
                         diagonal += ease
                         next = f.at(g, f.moved(c, axis, 2 * side - 1))
                         if mesh.liquid[next] != 0:
@@ -67,7 +62,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         projection.residual[number] = g.density / g.dt * into
 
     @wp.kernel(enable_backward=False, module="unique")
-    def project(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def project(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
         """Velocities without divergence; the pressure of this step."""
         if flags[HALTED] != 0:
             return
@@ -78,11 +73,11 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         for axis in range(dims):
             r = number + axis * g.slots
             kind = mesh.kind[r]
-            if kind == LIQUID:  # what walls did bear in the end
+            if wp.static(not of.cut) and kind == LIQUID:  # what walls did bear in the end
                 mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
-            if f.flows(kind):
+            if kind == LIQUID:
                 rise = mesh.increment[number] - mesh.increment[f.at(g, f.moved(c, axis, -1))]
-                ease = g.dt / g.density * f.face_area(g, c, axis) / mesh.volume[r]
+                ease = g.dt / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r]
                 mesh.velocity[r] = mesh.velocity[r] - ease * rise
         mesh.pressure[number] = wp.where(
             mesh.liquid[number] != 0, mesh.pressure[number] + mesh.increment[number], scalar(0.0)
@@ -128,7 +123,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         projection.residual[number] = g.density / g.dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
-    def disperse(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def disperse(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -136,9 +131,9 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         for axis in range(dims):
             r = number + axis * g.slots
             speed = scalar(0.0)
-            if f.on_grid(g, c) and f.flows(mesh.kind[r]):
+            if f.on_grid(g, c) and mesh.kind[r] == LIQUID:
                 rise = mesh.potential[number] - mesh.potential[f.at(g, f.moved(c, axis, -1))]
-                speed = -g.dt / g.density * f.face_area(g, c, axis) / mesh.volume[r] * rise
+                speed = -g.dt / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r] * rise
                 most = scalar(0.05) * g.width[axis] / g.dt
                 speed = wp.clamp(speed, -most, most)
             mesh.shift[r] = speed

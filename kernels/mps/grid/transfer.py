@@ -11,10 +11,10 @@ from .cells import (
     AIR,
     BIN,
     FIXED,
+    GHOST,
     INSIDE,
     LIQUID,
     OPEN,
-    SLIVER,
     SMOOTH,
     Kind,
     cells_struct,
@@ -23,7 +23,10 @@ from .cells import (
 )
 
 CLEAR = wp.constant(0.02)
-"""Distance from a wall, over a cell's width, that a face has momentum of its own beyond, and that particles keep."""
+"""Distance from a wall, over a cell's width, that particles keep."""
+
+LIGHT = wp.constant(0.1)
+"""Inertia of a face within a wall over that of one without."""
 
 
 @functools.cache
@@ -45,16 +48,27 @@ def gather_kernel(scalar, of: Kind):
         if wp.static(of.cut):
             if geometry.part[r] == scalar(0.0):
                 return geometry.shut[r]
-            if not wet:
-                return AIR
-            if geometry.gap[r] > scalar(CLEAR) * g.width[axis]:
-                return LIQUID
-            return SLIVER
+            return wp.where(wet, LIQUID, AIR)
         if mesh.solid[a] != OPEN and mesh.solid[b] != OPEN:
             return INSIDE
         if mesh.solid[a] != OPEN or mesh.solid[b] != OPEN:
             return FIXED
         return wp.where(wet, LIQUID, AIR)
+
+    @wp.func
+    def needed(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
+        """Is there concrete in a cell on either side of a face, or at an edge?"""
+        low = f.at(g, f.moved(c, axis, -1))
+        if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:
+            return False
+        found = mesh.liquid[f.at(g, c)] != 0 or mesh.liquid[low] != 0
+        for b in range(dims):
+            if b != axis:
+                for side in range(2):
+                    edge = f.moved(c, b, side)
+                    if not found and f.reached(g, edge):
+                        found = f.wetness(g, mesh, geometry, edge, axis + b - 1) > scalar(0.0)
+        return found
 
     @wp.func
     def brought(g: Cells, particles: Particles, mesh: Mesh, c: whole, axis: wp.int32, before: scalar) -> scalar:
@@ -114,15 +128,20 @@ def gather_kernel(scalar, of: Kind):
             if c[axis] >= 0:
                 low = f.at(g, f.moved(c, axis, -1))
                 kind = kind_of(g, mesh, geometry, low, number, r, axis)
+                if wp.static(of.cut):
+                    if kind == INSIDE and needed(g, mesh, geometry, c, axis):
+                        kind = GHOST
+                        volume = scalar(LIGHT) * f.face_area(g, c, axis) * g.width[axis]
+                        mesh.velocity[r] = brought(g, particles, mesh, c, axis, mesh.velocity[r])
                 if kind == FIXED:
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
                         mesh.velocity[r] = f.wall_speed(walls, wall, f.face_middle(g, c, axis), axis)
                     else:
                         mesh.velocity[r] = walls.velocity[wp.max(mesh.solid[low], mesh.solid[number])][axis]
-                if f.flows(kind):
+                if kind == LIQUID:
                     wet = scalar(0.5) * (mesh.fill[low] + mesh.fill[number])
-                    volume = wet * f.face_area(g, c, axis) * g.width[axis]
+                    volume = wet * f.open_area(g, geometry, c, axis) * g.width[axis]
                     mesh.velocity[r] = brought(g, particles, mesh, c, axis, mesh.velocity[r])
             mesh.kind[r] = kind
             mesh.volume[r] = volume
@@ -146,12 +165,9 @@ def extend_kernel(scalar, of: Kind):
     @wp.func
     def across(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32, r: wp.int32, o: wp.int32) -> scalar:
         """Velocity at a face within a wall, by that at `o` and at the wall between them."""
-        share = scalar(-1.0)
         if wp.static(of.cut):
-            share = wp.clamp(geometry.gap[r] / geometry.gap[o], scalar(-2.0), scalar(1.0))
-            if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[f.at(g, f.moved(c, axis, -1))] == SMOOTH:
-                share = scalar(1.0)
-        return mesh.slip[o] + share * (mesh.velocity[o] - mesh.slip[o])
+            return mesh.velocity[o]
+        return scalar(2.0) * mesh.slip[o] - mesh.velocity[o]
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
@@ -166,7 +182,7 @@ def extend_kernel(scalar, of: Kind):
         for axis in range(dims):
             r = number + axis * g.slots
             value = mesh.velocity[r]
-            good = wp.where(f.known(mesh.kind[r]) or f.flows(mesh.kind[r]), 1, 0)
+            good = wp.where(f.sheared(mesh.kind[r]), 1, 0)
             if again != 0:
                 value = before[r]
                 good = known_before[r]

@@ -8,18 +8,17 @@ from ...common.control import HALTED
 from ..structs import mps_types
 from .bingham import bingham_functions
 from .cells import (
-    AIR,
-    FIXED,
     INSIDE,
     LIQUID,
     OPEN,
-    SLIVER,
-    SMOOTH,
     Kind,
     cells_struct,
     grid_functions,
     grid_structs,
 )
+
+STICKY = wp.constant(20.0)
+"""What holds concrete on a wall that it does not slip on, over what its shear across a cell does."""
 
 
 @functools.cache
@@ -85,15 +84,13 @@ def side_kernel(scalar, of: Kind):
 
 @functools.cache
 def wall_kernel(scalar, of: Kind):
-    """Stress of walls that pass through cells on the faces beside them."""
-    dims = of.dimensions
+    """How walls that pass through cells rub on the velocity between a face without them and one within."""
+    dims, last = of.dimensions, of.dimensions - 1
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Mesh, Walls, Geometry = structs.Mesh, structs.Walls, structs.Geometry
-    t = mps_types(scalar, dims)
-    whole = t.whole
+    whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
-    law = bingham_functions(scalar, dims)
 
     @wp.func
     def aside(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
@@ -108,16 +105,23 @@ def wall_kernel(scalar, of: Kind):
         return sum / wp.max(count, scalar(1.0))
 
     @wp.func
-    def sheared(mesh: Mesh, cell: wp.int32) -> scalar:
-        """Shear stress in a cell [Pa]; none in the air."""
-        if mesh.liquid[cell] == 0:
-            return scalar(0.0)
-        return mesh.in_cell[cell] * wp.sqrt(mesh.strain[cell])
+    def weight(g: Cells, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
+        """Radius of what is between a face and the next; 1 in a plane."""
+        if axis == b:
+            return f.cell_weight(g, c)
+        if axis == 0:
+            return f.side_weight(g, c)
+        return f.side_weight(g, f.moved(c, 0, 1))
 
     @wp.func
-    def smooth(g: Cells, mesh: Mesh, c: whole, axis: wp.int32) -> wp.bool:
-        """Is a face within a wall that nothing rubs on?"""
-        return mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[f.at(g, f.moved(c, axis, -1))] == SMOOTH
+    def thickest(mesh: Mesh, a: wp.int32, b: wp.int32) -> scalar:
+        """Viscosity of the stiffer of two cells, where there is concrete."""
+        most = scalar(0.0)
+        if mesh.liquid[a] != 0:
+            most = mesh.in_cell[a]
+        if mesh.liquid[b] != 0:
+            most = wp.max(most, mesh.in_cell[b])
+        return most
 
     @wp.kernel(enable_backward=False, module="unique")
     def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Mesh):
@@ -125,108 +129,54 @@ def wall_kernel(scalar, of: Kind):
             return
         number = wp.tid()
         c = f.cell(g, number)
-        if not f.on_grid(g, c):
-            return
         for axis in range(dims):
-            r = number + axis * g.slots
-            mesh.rubbed[r] = scalar(0.0)
-            mesh.traction[r] = scalar(0.0)
-            mesh.growth[r] = scalar(0.0)
-            mesh.slip[r] = mesh.velocity[r]
-            wall = geometry.surface[r]
-            gap = geometry.gap[r]
-            if mesh.kind[r] == LIQUID and walls.slip_viscosity[wall] >= scalar(0.0):
-                area = scalar(0.0)  # of wall that the face looks at along the axes
-                steep = scalar(0.0)
-                inner = scalar(0.0)
-                far = scalar(0.0)
-                x = f.face_middle(g, c, axis)
-                still = f.wall_speed(walls, wall, x, axis)
-                relative = mesh.velocity[r] - still
-                way = wp.where(relative < scalar(0.0), scalar(-1.0), scalar(1.0))
-                for b in range(dims):
-                    for side in range(2):
-                        next = f.moved(c, b, 2 * side - 1)
-                        o = f.at(g, next) + axis * g.slots
-                        kind = AIR
-                        if b != axis or (next[b] >= 0 and next[b] <= g.n[b]):  # beyond an open side there is no wall
-                            kind = mesh.kind[o]
-                        # A wall across the face's own way stretches what is before it.
-                        hidden = kind != LIQUID and kind != AIR and (b != axis or kind != FIXED)
-                        if hidden and not smooth(g, mesh, next, axis):
-                            # The wall's normal has this share along the axis.
-                            share = wp.clamp((gap - geometry.gap[o]) / g.width[b], scalar(0.0), scalar(1.0))
-                            weight = f.cell_weight(g, c)
-                            if wp.static(of.axial):
-                                if axis == 0:
-                                    weight = f.side_weight(g, c)
-                                if axis == 1 and b == 0:
-                                    weight = f.side_weight(g, f.moved(c, 0, side))
-                            area += share * weight * f.block(g) / g.width[b]
-                            if share >= steep:
-                                # Stress a cell further from the wall: what there is of it, whichever way it acts.
-                                steep = share
-                                ahead = f.moved(c, b, 1 - 2 * side)
-                                inner = scalar(0.5) * (
-                                    sheared(mesh, f.at(g, ahead)) + sheared(mesh, f.at(g, f.moved(ahead, axis, -1)))
-                                )
-                                far = gap + share * g.width[b]
-                if area > scalar(0.0):
-                    far = wp.max(far, scalar(1.01) * gap)
-                    square = relative * relative
-                    for b in range(dims):
-                        if b != axis:
-                            other = aside(g, mesh, c, axis, b) - f.wall_speed(walls, wall, x, b)
-                            square += other * other
-                    speed = wp.sqrt(square)
-                    stress, growth, slip = law.near_wall(
-                        g, speed, gap, inner, far, walls.slip_viscosity[wall], walls.slip_yield[wall]
-                    )
-                    mesh.rubbed[r] = area
-                    mesh.traction[r] = way * stress
-                    mesh.growth[r] = growth
-                    mesh.slip[r] = still + way * slip
-                    if speed > scalar(0.0):
-                        # Along the velocity stress grows as the law has it, aside as its direction turns.
-                        part = relative / speed
-                        mesh.traction[r] = part * stress
-                        mesh.growth[r] = part * part * growth + (scalar(1.0) - part * part) * stress / speed
-                        mesh.slip[r] = still + part * slip
+            for b in range(dims):
+                k = (axis * dims + b) * g.slots + number
+                mesh.grip[k] = scalar(0.0)
+                upper = f.moved(c, b, 1)
+                there = c[axis] >= 0 and c[axis] <= g.n[axis] and upper[b] <= g.n[b]
+                if wp.static(of.periodic):
+                    there = there and c[last] >= 0 and c[last] < g.n[last]
+                if there:
+                    r, o = number + axis * g.slots, f.at(g, upper) + axis * g.slots
+                    if f.unknown(mesh.kind[r]) and f.unknown(mesh.kind[o]):
+                        near = geometry.gap[r]
+                        far = geometry.gap[o]
+                        if (near > scalar(0.0)) != (far > scalar(0.0)):
+                            out = c
+                            if far > scalar(0.0):
+                                out = upper
+                            own = f.at(g, out)
+                            low = f.at(g, f.moved(out, axis, -1))
+                            wall = geometry.surface[own + axis * g.slots]
+                            if walls.slip_viscosity[wall] >= scalar(0.0):
+                                # The wall's normal has this share along the axis.
+                                share = wp.min(wp.abs(near - far) / g.width[b], scalar(1.0))
+                                area = share * weight(g, c, axis, b) * f.block(g) / g.width[b]
+                                area *= scalar(0.5) * (mesh.fill[own] + mesh.fill[low])
+                                on = wp.abs(near) / (wp.abs(near) + wp.abs(far))
+                                x = f.face_middle(g, c, axis)
+                                x[b] = x[b] + on * g.width[b]
+                                still = f.wall_speed(walls, wall, x, axis)
+                                relative = (scalar(1.0) - on) * mesh.velocity[r] + on * mesh.velocity[o] - still
+                                square = relative * relative
+                                for d in range(dims):
+                                    if d != axis:
+                                        other = aside(g, mesh, out, axis, d) - f.wall_speed(walls, wall, x, d)
+                                        square += other * other
+                                speed = wp.sqrt(square)
+                                stiff = scalar(STICKY) * thickest(mesh, own, low) / g.width[b]
+                                hold = walls.slip_yield[wall] / wp.max(speed, scalar(1.0e-12))
+                                hold += walls.slip_viscosity[wall]
+                                if hold > stiff:
+                                    # What holds is a spring of some length, half of which is taken off the concrete's.
+                                    hold = stiff
+                                    spring = scalar(0.5) * g.width[b] / scalar(STICKY)
+                                    spring = wp.min(spring, scalar(0.5) * wp.max(near, far))
+                                    on += wp.where(near > far, -spring, spring) / (wp.abs(near) + wp.abs(far))
+                                    relative = (scalar(1.0) - on) * mesh.velocity[r] + on * mesh.velocity[o] - still
+                                mesh.lean[k] = on
+                                mesh.grip[k] = area * hold
+                                mesh.pull[k] = area * hold * relative
 
     return wall_stress
-
-
-@functools.cache
-def sliver_kernel(scalar, of: Kind):
-    """Velocities of faces of which only the rim is outside a wall, from those beside them; a task a slot."""
-    dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
-    structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
-    f = grid_functions(scalar, of)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def slivers(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
-        if flags[HALTED] != 0:
-            return
-        number = wp.tid()
-        c = f.cell(g, number)
-        if not f.on_grid(g, c):
-            return
-        for axis in range(dims):
-            r = number + axis * g.slots
-            if mesh.kind[r] == SLIVER:
-                sum = scalar(0.0)
-                count = scalar(0.0)
-                for n in range(2 * dims):
-                    next = f.moved(c, n / 2, 2 * (n % 2) - 1)
-                    o = f.at(g, next) + axis * g.slots
-                    if next[n / 2] <= g.n[n / 2] and mesh.kind[o] == LIQUID:
-                        # What is open of the face lies at about this distance from the wall.
-                        here = scalar(0.5) * geometry.part[r] * g.width[n / 2]
-                        share = wp.min(here / geometry.gap[o], scalar(1.0))
-                        sum += mesh.slip[o] + share * (mesh.velocity[o] - mesh.slip[o])
-                        count += scalar(1.0)
-                mesh.velocity[r] = sum / wp.max(count, scalar(1.0))
-
-    return slivers

@@ -140,5 +140,6 @@ def _differ(one: Geometry, two: Geometry) -> np.ndarray:
         | (one.room != two.room)
         | (one.hold != two.hold)
         | (one.depth != two.depth).any(-1)
+        | (one.nook != two.nook).any((-1, -2))
         | (one.solid != two.solid)
     )

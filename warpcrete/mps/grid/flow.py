@@ -32,7 +32,7 @@ from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
-from ...kernels.mps.grid.walls import side_kernel, sliver_kernel, wall_kernel
+from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.motion import finish
 from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
@@ -179,7 +179,6 @@ class GridFlow:
                 momentum_kernel(scalar, serial, kind), slots, matrix=self.viscous.matrix, viscous=self.viscous.arrays,
             ),
             *self._solve(self.viscous, VISCOSITY, velocity, 0.0, VELOCITY_ERROR * self._force),
-            *([self.stage(sliver_kernel(scalar, kind), slots)] if kind.cut else []),
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(
                 self.projection, PRESSURE, increment, self.scene.tolerance,

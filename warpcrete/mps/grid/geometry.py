@@ -19,12 +19,15 @@ WALL, MIRROR, BARE = "wall", "mirror", "open"
 """What a side of the room is."""
 LEAST = 0.01
 """Part of a cell or face that counts as open."""
-ALIGNED = 0.9
-"""Cosine between a wall's normal and an axis above which the wall stops what comes along that axis."""
+ALIGNED, OFF = 0.999, 0.01
+"""Cosine between a wall's normal and an axis above which a face is a side of that wall, and how far off it may be, over
+a cell's width."""
 FINE = {2: 8, 3: 4}
 """Places of a cell along each axis by which what is open around it is weighed; even, so that flat walls are exact."""
 LINES = 8
 """Across a face or cell, along which its open part is found."""
+PAIRS = (0, 1), (0, 2), (1, 2)
+"""Of axes."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """Of points, shape (n, axes) [m]: positive where concrete may be."""
@@ -39,6 +42,8 @@ class Geometry:
     """NONE, or number of the wall that fills a cell."""
     depth: np.ndarray
     room: np.ndarray
+    nook: np.ndarray
+    """Shape (*shape, pairs of axes, 4)."""
     hold: np.ndarray
     gap: np.ndarray
     part: np.ndarray
@@ -93,7 +98,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         # What a wall across the axis stops; a wall aslant has no velocity of its own across a face.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
-        stops = ((slope > ALIGNED) | beside) & ((solid == NONE) ^ (below == NONE))
+        on_it = np.abs(distance) < OFF * room.width[axis]
+        stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
         gap.append(np.minimum(distance, far))
         part.append(np.where(closed, 0.0, np.where(share > 1 - LEAST, 1.0, share)))
         shut.append(np.where(stops, int(FIXED), int(INSIDE)))
@@ -103,7 +109,33 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     hold = _hold(room, corners, mirror, axial)
     halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
-    return Geometry(_last_first(solid), fine, *(_last_first(a) for a in (kept, hold)), *rest)
+    nook = np.where(solid == NONE, _quarters(corners), 0.0)
+    nook = nook.transpose(*range(axes + 1, 1, -1), 0, 1)
+    return Geometry(_last_first(solid), fine, _last_first(kept), np.ascontiguousarray(nook), _last_first(hold), *rest)
+
+
+def _quarters(corners: np.ndarray) -> np.ndarray:
+    """Open part of the quarters of each cell around its edges of each pair of axes; shape (pairs, 4, cells...)."""
+    axes, half = corners.ndim, corners
+    for axis in range(axes):
+        # Values at the ends and in the middle of cells: two halves of each follow one another.
+        half = np.moveaxis(half, axis, -1)
+        middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
+        half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
+        half = np.moveaxis(half, -1, axis)
+    part = _open(_corners(half, range(axes)), axes)
+    found = []
+    for first, second in PAIRS[:1] if axes == 2 else PAIRS:
+        for n in range(4):
+            at: list[slice] = [slice(None)] * axes
+            at[first], at[second] = slice(n % 2, None, 2), slice(n // 2, None, 2)
+            own = part[tuple(at)]
+            for b in range(axes):
+                if b not in (first, second):
+                    own = np.moveaxis(own, b, -1)
+                    own = np.moveaxis(own.reshape(*own.shape[:-1], -1, 2).mean(-1), -1, b)
+            found.append(own)
+    return np.stack(found).reshape(-1, 4, *found[0].shape)
 
 
 def nearest_wall(
