@@ -10,6 +10,7 @@ from .core.run_loop import Run, Simulation
 from .dem.method import METHOD as DISCRETE_ELEMENTS
 from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES
+from .mps.part.method import METHOD as PARTS_OF_LINES
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 
@@ -17,6 +18,7 @@ METHODS: tuple[Method, ...] = (
     DISCRETE_ELEMENTS,
     MOVING_PARTICLES,
     FREE_FLOWS,
+    PARTS_OF_LINES,
 )
 
 

@@ -30,6 +30,7 @@ AIR = wp.constant(0)  # no concrete on either side
 LIQUID = wp.constant(1)  # concrete on one side or both, which flows through it: unknown
 FIXED = wp.constant(2)  # side of a wall, which has its velocity across it
 INSIDE = wp.constant(3)  # within walls
+ROUGH = wp.constant(4)  # wall that concrete sticks to; those above have velocities
 GHOST = wp.constant(4)  # within a wall, of a cell or an edge that is not
 BIN = wp.constant(40)
 """Particles that a cell has room for; more do not count."""
@@ -86,6 +87,7 @@ def cells_struct(scalar, dimensions: int):
         yield_stress: scalar  # [Pa]
         regularisation: scalar  # beta [s]
         volume: scalar  # of the mean particle
+        inflow: t.vec  # velocity with which particles come in again that have left [m/s]
         resistance: wp.float64  # growth of the wall's force per volume with the mean velocity [kg/m3/s]
 
     return Cells
@@ -147,6 +149,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (slots * pairs * 4,), the pair's first axis fastest
         hold: wp.array(dtype=scalar)  # volume of what is open around its middle, weighted as particles are, (slots,)
         opens: wp.array(dtype=scalar)  # when what is shut here opens [s], shape (slots,); no rows where nothing does
+        inlet: wp.array(dtype=t.vec)  # places at which particles come in that have left [m], shape (n,); n may be 0
         gap: wp.array(dtype=scalar)  # distance of a face's middle from the nearest wall [m], shape (axes * slots,) as
         part: wp.array(dtype=scalar)  # of a face that is open
         shut: wp.array(dtype=wp.int32)  # kind of a face that is not

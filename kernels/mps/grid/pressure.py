@@ -8,7 +8,7 @@ import warp as wp
 from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import array_structs, row_place
-from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, Kind, cells_struct, grid_functions, grid_structs
+from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
 
 CORRECTED = 0.1
 """Part of what is too much or too little in a cell that a step takes away."""
@@ -20,7 +20,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
+    Mesh, Geometry, Walls = structs.Mesh, structs.Geometry, structs.Walls
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
     f = grid_functions(scalar, of)
@@ -28,8 +28,9 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, matrix: Matrix, projection: Solve
-    ):
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Mesh, matrix: Matrix,
+        projection: Solve,
+    ):  # fmt: skip
         """Volume that flows into a cell, and its row of the matrix of the pressure's increment."""
         if flags[HALTED] != 0:
             return
@@ -46,7 +47,13 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
                     face = f.moved(c, axis, side)
                     r = f.at(g, face) + axis * g.slots
                     area = f.open_area(g, geometry, face, axis)
-                    into += wp.where(side == 0, area, -area) * mesh.velocity[r]
+                    flux = area * mesh.velocity[r]
+                    if wp.static(of.cut):
+                        wall = geometry.surface[r]
+                        if wall > ROUGH:  # what goes with a wall flows through the rest of the face
+                            x = f.face_middle(g, face, axis)
+                            flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)
+                    into += wp.where(side == 0, flux, -flux)
                     if mesh.kind[r] == LIQUID:
                         ease = area * area / mesh.volume[r]
                         diagonal += ease

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ...common.control import HALTED
+from ...common.control import HALTED, STEPS
 from ..structs import mps_types
 from .cells import (
     AIR,
@@ -325,7 +325,7 @@ def advect_kernel(scalar, of: Kind):
     """Particles take the velocity around them and go with that of half a step later; a task a particle."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
-    vec, whole = t.vec, t.whole
+    vec, mat, whole = t.vec, t.mat, t.whole
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
@@ -387,7 +387,13 @@ def advect_kernel(scalar, of: Kind):
         gone = wp.bool(False)
         if wp.static(of.cut and not of.periodic):
             gone = leaves(g, mesh, after)
-        if gone:
+        if gone and geometry.inlet.shape[0] > 0:
+            # Some place or other, so that they spread over it.
+            turn = (p * 7919 + flags[STEPS] * 104729) % geometry.inlet.shape[0]
+            particles.velocity[p] = g.inflow
+            particles.gradient[p] = mat()
+            after = geometry.inlet[wp.abs(turn)]
+        elif gone:
             particles.mass[p] = scalar(0.0)
         else:
             little = scalar(1.0e-3)

@@ -50,8 +50,14 @@ class GridLayout:
     """When each cell takes what is in `opened` [s], shape as `solid`; empty where nothing opens."""
     full: bool = False
     """To the brim, and for ever: there is no surface, though it is not periodic."""
+    weightless: bool = False
+    """Weight is left out: where there is no surface, all that it does is to press."""
     motions: tuple[Motion, ...] = ()
-    """Of walls with the numbers after ROUGH, which concrete sticks to."""
+    """Of walls with the numbers after ROUGH."""
+    inlet: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    """Places at which particles come in again that have left, shape (n, axes) [m]; none: they are gone for good."""
+    inflow: tuple[float, ...] | None = None
+    """Their velocity then [m/s]."""
 
     @property
     def cells(self) -> tuple[int, ...]:
@@ -115,6 +121,8 @@ class Motion:
     """[rad/s]; in a plane, whose second axis is the third of space, the middle one counts."""
     pivot: tuple[float, ...] | None = None
     """Point that the spin is about [m]; none: the origin."""
+    smooth: bool = False
+    """Nothing rubs on it; else concrete sticks to it."""
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:

@@ -83,7 +83,9 @@ class GridState:
             velocity=np.array([none] * (ROUGH + 1) + [m.velocity for m in moving]),
             spin=np.array([np.zeros(3)] * (ROUGH + 1) + [m.spin for m in moving]),
             pivot=np.array([none] * (ROUGH + 1) + [none if m.pivot is None else m.pivot for m in moving]),
-            slip_viscosity=np.array([-1.0, viscosity, -1.0, -1.0] + [STICKS] * (1 + len(moving))),
+            slip_viscosity=np.array(
+                [-1.0, viscosity, -1.0, -1.0, STICKS] + [-1.0 if m.smooth else STICKS for m in moving]
+            ),
             slip_yield=np.array([0.0, yield_stress, 0.0, 0.0] + [0.0] * (1 + len(moving))),
         )
 
@@ -95,9 +97,10 @@ class GridState:
 
     def _geometry(self, found: Geometry | None) -> Any:
         """A struct `Geometry`; without arrays where walls are sides of cells."""
-        names = [name for name in self.structs.Geometry.vars if name != "opens"]
+        own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
+        names = [name for name in self.structs.Geometry.vars if name not in own]
         given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}
-        return self._filled(self.structs.Geometry, **given, opens=self.layout.opens.ravel())
+        return self._filled(self.structs.Geometry, **given, **own)
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
         """A struct of arrays: of host data, or of zeros."""
@@ -156,7 +159,7 @@ def grid_numbers(state: GridState) -> Any:
     """Struct of a grid's numbers for the kernels."""
     scene, layout, concrete = state.scene, state.layout, state.scene.concrete
     g = cells_struct(state.scalar, layout.axes)()
-    down = [0.0] * (layout.axes - 1) + [-scene.gravity]
+    down = [0.0] * (layout.axes - 1) + [0.0 if layout.weightless else -scene.gravity]
     values = dict(
         n=layout.cells,
         slots=state.slots,
@@ -170,6 +173,7 @@ def grid_numbers(state: GridState) -> Any:
         yield_stress=concrete.yield_stress,
         regularisation=scene.regularisation,
         volume=layout.volume,
+        inflow=layout.inflow or (0.0,) * layout.axes,
         resistance=layout.resistance,
     )
     for name, value in values.items():

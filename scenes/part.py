@@ -1,0 +1,121 @@
+"""A part of a line, full of concrete that is pumped through it: straight, bend, reducer, or a bore from a mesh file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.parameters import Above, Needs, OneOf, Within, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.meshes import load
+from warpcrete.geometry.walls import MeshWall
+from warpcrete.mps.column import FLOW, ConcreteParameters
+from warpcrete.mps.mixes import CONSTANTS, concrete_of
+from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings
+
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level")
+ACCURACY = 0.03
+"""Of the friction of straight stretches, against theory."""
+REMARKS = ("concrete enters as a plug, through a plane, and leaves where nothing holds it",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartParameters(ConcreteParameters, PartSettings):
+    """Pipe, and what flows through it."""
+
+    unit: Annotated[str, "how the pipe goes: straight up or level, or with a bend between two straight stretches",
+                    OneOf(UNITS)] = "bend-to-horizontal"  # fmt: skip
+    diameter: Annotated[float, "inner [m]", Above()] = 0.1
+    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above()] = 0.3
+    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above()] = 0.25
+    angle: Annotated[float, "of a bend [degrees]", Within(5, 135)] = 90.0
+    outlet_diameter: Annotated[float | None, "of a straight unit that narrows or widens [m]", Above()] = None
+    taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", float, "is given"),
+                     Above()] = 0.3  # fmt: skip
+    wall: Annotated[str | None, "mesh file of the bore (STL, OBJ ...) in place of the round pipe: its axis begins at "
+                    "the origin, along z upright, along x level, and bends as the unit does"] = None  # fmt: skip
+    wall_scale: Annotated[float, "of the mesh file's unit: 0.001 for mm", Needs("wall", str, "is given"), Above()] = 1.0
+    flow: Annotated[float, "volume flow [m3/s]", Above()] = FLOW
+    spacing: Annotated[float, "of the cells [m]; the nearest that divides the radius is taken", Above()] = 0.01
+
+
+@scene_function(PartParameters)
+def scene(parameters: PartParameters) -> PartScene:
+    """Concrete pumped through a part of a line at a given flow: the pressure, and what a bend or taper adds to it.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    bends = given.unit.startswith("bend")
+    if bends and given.outlet_diameter is not None:
+        refuse("outlet_diameter", given.outlet_diameter, "is that of a straight unit", "take unit vertical, horizontal")
+    concrete = concrete_of(
+        given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS}
+    )
+    taper = None
+    if given.outlet_diameter is not None:
+        if given.wall is not None:
+            refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+        taper = (given.straight, given.straight + given.taper, given.outlet_diameter / 2)
+    wall = None
+    if given.wall is not None:
+        mesh = load(given.wall, "wall", given.wall_scale)
+        wall = MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces)
+    radius = given.diameter / 2
+    return PartScene(
+        name="part",
+        concrete=concrete,
+        axis=_axis(given, bends),
+        radius=radius,
+        velocity=given.flow / (math.pi * radius**2),
+        spacing=given.spacing,
+        taper=taper,
+        wall=wall,
+        remarks=REMARKS,
+        parameters=asdict(given),
+        **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
+    )
+
+
+def _axis(given: PartParameters, bends: bool) -> Axis:
+    """From the origin; z is up."""
+    origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    if not bends:
+        length = 2 * given.straight + (given.taper if given.outlet_diameter is not None else 0.0)
+        return Axis(origin, up if given.unit == "vertical" else along, (Line(length),))
+    tangent = up if given.unit == "bend-to-horizontal" else along
+    towards = {"bend-to-horizontal": along, "bend-to-vertical": up, "bend-level": aside}[given.unit]
+    arc = Arc(given.elbow_radius, math.radians(given.angle), towards)
+    return Axis(origin, tangent, (Line(given.straight), arc, Line(given.straight)))
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a flow through a part: name -> (passed, what was found)."""
+    result = run.result
+    if "pressure" not in result:
+        return {"finished": (False, "there is no sample besides that at the start")}
+    found = {"steady": (result["steady"], f"after {result['simulated_time']['value']:g} s")}
+    for name in ("upstream", "downstream"):
+        ours, theory = (result[f"{name}_gradient{end}"]["value"] for end in ("", "_theory"))
+        off = ours / theory - 1
+        found[f"friction {name}"] = (abs(off) < ACCURACY, f"{100 * off:+.2f} % from theory")
+    outflow = result["outflow_error"]
+    found["volume"] = (abs(outflow) < 1e-3, f"{100 * outflow:+.3f} % more leaves than enters")
+    return found
+
+
+def _knobs(given: PartParameters) -> Iterator[Knob]:
+    narrow = min(given.diameter, given.outlet_diameter or given.diameter)
+    spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / FEWEST]
+    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
+    yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")
+    yield precisions()
+
+
+trading = Trading(_knobs, quantities=("pressure",))

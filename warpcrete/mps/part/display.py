@@ -1,0 +1,106 @@
+"""A part of a line as recorders draw it: particles of the concrete, the wall as glass."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, on_palette
+from .layout import Frame
+from .scene import PartScene
+
+MOST = 12000
+"""Particles that are drawn."""
+SIDES, RINGS = 48, 60
+"""Of round walls as they are drawn, around and along."""
+OURS, OTHER_LINE = (215, 95, 30), (90, 120, 170)
+
+
+class PartDisplay(Display):
+    """Particles by speed, by pressure or by rate of shear; where half a part is computed, both are drawn."""
+
+    colourings: ClassVar = ("speed", "pressure", "shear")
+    noun: ClassVar = "concrete"
+
+    @property
+    def _scene(self) -> PartScene:
+        return self.simulation.scene
+
+    @property
+    def _images(self) -> tuple[float, ...]:
+        return (1.0, -1.0) if self._scene.wall is None else (1.0,)
+
+    @cached_property
+    def _chosen(self) -> np.ndarray:
+        count = self.simulation.state.count
+        return np.arange(0, count, max(1, -(-count * len(self._images) // MOST)))
+
+    def radii(self) -> np.ndarray:
+        """So that few particles fill the part as well as many [m]."""
+        state, chosen = self.simulation.state, self._chosen
+        fewer = (state.count / len(chosen)) ** (1 / 3)
+        return np.full(len(chosen) * len(self._images), 0.45 * state.mark_spacing * fewer, np.float32)
+
+    def centres(self) -> np.ndarray:
+        """Particles in the room [m], shape (n, 3)."""
+        x = self.simulation.state.particles.position.numpy().astype(float)[self._chosen]
+        frame = Frame(self._scene)
+        return np.concatenate([frame.outward(x * [1.0, sign, 1.0]) for sign in self._images])
+
+    def scale(self) -> tuple[str, float, float]:
+        """What colours show, with its lowest and highest value."""
+        scene = self._scene
+        if self.colouring == "pressure":
+            return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
+        narrow = float(np.min(scene.bore(np.linspace(0, scene.axis.length, 50))))
+        fastest = 1.5 * scene.velocity * (scene.radius / narrow) ** 2
+        return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
+
+    def colours(self) -> np.ndarray:
+        """RGB bytes of all that is drawn, shape (n, 3)."""
+        particles = self.simulation.state.particles
+        if self.colouring == "pressure":
+            values = particles.pressure.numpy().astype(float) / 1e3
+        elif self.colouring == "speed":
+            values = np.linalg.norm(particles.velocity.numpy().astype(float), axis=1)
+        else:
+            slope = particles.gradient.numpy().astype(float)
+            values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
+        _, lower, upper = self.scale()
+        return np.tile(on_palette(values[self._chosen], upper, lower), (len(self._images), 1))
+
+    def plots(self) -> tuple[Plot, ...]:
+        """Pressure, and what the stretches lose."""
+        return (
+            Plot("pressure", "Pressure", (
+                Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),
+            )),
+            Plot("friction", "Friction", (
+                Curve("upstream", "upstream [kPa/m]", lambda row: 1e-3 * row["upstream_gradient"], OURS),
+                Curve("downstream", "downstream [kPa/m]", lambda row: 1e-3 * row["downstream_gradient"], OTHER_LINE),
+            )),
+        )  # fmt: skip
+
+    def walls(self) -> list[DrawnWall]:
+        """The bore."""
+        scene = self._scene
+        if scene.wall is not None:
+            return [DrawnWall("wall", scene.wall.vertices, scene.wall.faces, False, GLASS)]
+        s = np.linspace(0, scene.axis.length, RINGS)
+        points, _, normal, side = scene.axis.frame(s)
+        angle = 2 * np.pi * np.arange(SIDES) / SIDES
+        ring = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
+        vertices = (points[:, None] + scene.bore(s)[:, None, None] * ring).reshape(-1, 3)
+        row, column = np.meshgrid(np.arange(RINGS - 1), np.arange(SIDES), indexing="ij")
+        a, b = (row * SIDES + column).ravel(), (row * SIDES + (column + 1) % SIDES).ravel()
+        faces = np.concatenate([np.stack([a, b, a + SIDES], 1), np.stack([b, b + SIDES, a + SIDES], 1)])
+        return [DrawnWall("wall", vertices, faces, False, GLASS)]
+
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
+        scene = self._scene
+        points, _ = scene.axis.at(np.linspace(0, scene.axis.length, 50))
+        wide = float(np.max(scene.bore(np.linspace(0, scene.axis.length, 50))))
+        return np.stack([points.min(0) - wide, points.max(0) + wide])

@@ -1,0 +1,79 @@
+"""What a flow through a part will take: the first steps tell what one costs, a coarser flow how long it is unsteady."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InstabilityError
+from ...core.footprint import footprint
+from ...core.forecast import Forecast, Probe, median_time, timed
+from ..forecast import TAKEN, step_time
+from .scene import FEWEST, PartScene
+from .simulation import PartSimulation
+
+
+def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings."""
+
+    def begun() -> PartSimulation:
+        simulation = PartSimulation(scene, device=str(device), precision=precision)
+        simulation.prepare()
+        return simulation
+
+    loading = begun()  # kernels are loaded now, and no part of a time any more
+    loading.flow.take(TAKEN)
+    loading.release()
+    duration, remarks = _duration(scene, str(device), precision)
+    simulation, placing = timed(begun, device)
+    simulation.flow.take(TAKEN)
+    step = step_time(simulation)
+    sample = median_time(simulation.measure, simulation.flow.device)
+    steps = max(1.0, duration / scene.time_step)
+    found = Forecast(
+        method="moving particles",
+        device="",
+        counts=simulation.flow.counts,
+        features={
+            "dimensions": "in space" if scene.wall is not None else "half of it, in space",
+            "walls": "mesh" if scene.wall is not None else "exact",
+            "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
+            "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            "precision": simulation.precision,
+        },
+        memory={name: float(size) for name, size in footprint(**simulation.flow.holdings, rest=simulation).items()
+                if size},
+        time_step=scene.time_step,
+        limits={},
+        governing="choice: solves are implicit, so that viscosity and pressure set no limit",
+        steps=steps,
+        parts={
+            "placing": placing,
+            "steps": steps * step,
+            "samples": math.ceil(duration / scene.sample_interval) * sample,
+        },
+        frame=probe(simulation),
+        duration=duration,
+        remarks=(*scene.remarks, *remarks),
+    )  # fmt: skip
+    simulation.release()
+    return found
+
+
+def _duration(scene: PartScene, device: str, precision: str) -> tuple[float, list[str]]:
+    """Simulated time until the flow is steady [s], by a coarser copy, and remarks."""
+    narrow = 2 * float(np.min(scene.bore(np.linspace(0, scene.axis.length, 50))))
+    simulation = PartSimulation(
+        replace(scene, spacing=max(scene.spacing, 0.95 * narrow / FEWEST)), device=device, precision=precision
+    )
+    try:
+        run = simulation.run()
+    except InstabilityError as error:
+        return scene.duration, [f"a coarser copy of this flow stops: {error}"]
+    finally:
+        simulation.release()
+    reached = float(run.result["simulated_time"]["value"])
+    return reached, [] if run.result["steady"] else [f"not steady within {reached:g} s"]

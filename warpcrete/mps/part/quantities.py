@@ -1,0 +1,86 @@
+"""The numbers that a flow through a part comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.method import Quantity
+from ...core.run_loop import Run
+from ...core.units import number
+from .scene import PartScene
+
+
+@dataclass(frozen=True)
+class Known:
+    """What there is to know of a run when its quantities are worked out."""
+
+    scene: PartScene
+    series: dict[str, np.ndarray]
+    """Two rows or more."""
+
+    def last(self, name: str) -> float:
+        """Of a column."""
+        return float(self.series[name][-1])
+
+    @property
+    def has_middle(self) -> bool:
+        """Is the part more than a straight pipe?"""
+        begin, end = self.scene.middle
+        return end > begin
+
+    @property
+    def as_straight(self) -> float:
+        """What theory loses in the middle, were it straight [Pa]."""
+        return self.scene.friction(*self.scene.middle)
+
+
+def _pressure_of_theory(k: Known) -> float:
+    scene = k.scene
+    return scene.friction(0.0, scene.axis.length) + scene.concrete.density * scene.gravity * scene.rise
+
+
+def _gradient_words(name: str):
+    def words(run: Run) -> str:
+        ours, theory = number(run.result[name]), number(run.result[f"{name}_theory"])
+        return f"{ours / 1e3:.3g} kPa/m   (straight pipe by theory: {theory / 1e3:.3g})"
+
+    return words
+
+
+def _pressure_words(run: Run) -> str:
+    theory = number(run.result["pressure_theory"])
+    return f"{number(run.result['pressure']) / 1e3:.4g} kPa   (all of it as straight pipe: {theory / 1e3:.4g})"
+
+
+def _middle_words(run: Run) -> str:
+    found = run.result
+    return (
+        f"{number(found['middle_loss']) / 1e3:.3g} kPa, {found['middle_ratio']:.3f} times straight pipe of that length "
+        "and bore"
+    )
+
+
+QUANTITIES = (
+    Quantity("pressure", "Pa", lambda k: k.last("pressure"), "pressure", _pressure_words, True),
+    Quantity("pressure_theory", "Pa", _pressure_of_theory),
+    Quantity("upstream_gradient", "Pa/m", lambda k: k.last("upstream_gradient"), "friction upstream",
+             _gradient_words("upstream_gradient"), True),
+    Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(0.0).pressure),
+    Quantity("middle_loss", "Pa", lambda k: k.last("middle_loss") if k.has_middle else None, "bend, taper",
+             _middle_words, True),
+    Quantity("middle_ratio", "1", lambda k: k.last("middle_loss") / k.as_straight if k.has_middle else None,
+             compared=True),
+    Quantity("downstream_gradient", "Pa/m", lambda k: k.last("downstream_gradient"), "friction downstream",
+             _gradient_words("downstream_gradient"), True),
+    Quantity("downstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(k.scene.axis.length).pressure),
+    Quantity("outflow_error", "1", lambda k: k.last("outflow_error")),
+)  # fmt: skip
+
+
+def report(run: Run) -> Iterator[tuple[str, str]]:
+    """Lines about a run besides its quantities."""
+    if run.finished and not run.result["steady"]:
+        yield "not steady", f"the pressure still changes after {run.series['time'][-1]:.3g} s"

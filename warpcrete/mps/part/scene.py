@@ -1,0 +1,182 @@
+"""Scenes of a part of a line that concrete fills and flows through at a given rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+
+from ...core.device import PRECISIONS
+from ...core.errors import between, positive, refuse
+from ...core.parameters import Above, Declared, OneOf, Within
+from ...geometry.axis import Arc, Axis, Line
+from ...geometry.meshes import rays
+from ...geometry.walls import MeshWall
+from ..theory import Concrete, Steady, steady
+from ..theory import Line as Stretch
+
+FEWEST = 6
+"""Cells across the narrowest bore."""
+AROUND, ALONG = 24, 60
+"""Directions and places in which a mesh's bore is measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartSettings(Declared):
+    """How a flow through a part is computed."""
+
+    duration: Annotated[float, "simulated time at most: a run ends when the pressure is steady [s]", Above()] = 2.0
+    time_step: Annotated[float, "[s]", Above()] = 5e-3
+    gravity: Annotated[float, "[m/s2]", Within(0, 1e4)] = 9.81
+    regularisation: Annotated[float, "beta of the regularised Bingham law [s]", Above()] = 100.0
+    tolerance: Annotated[float, "of the pressure solve: residual over that at its start", Within(1e-12, 0.5)] = 1e-3
+    maximum_iterations: Annotated[int, "of a solve, before the run ends with an error", Within(1)] = 5000
+    steadiness: Annotated[
+        float, "steady: the pressure changes by less than this part in ten steps, and in the ten before", Above()
+    ] = 1e-3
+    precision: Annotated[str, "float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "nothing is random", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PartScene(PartSettings):
+    """Concrete that fills a pipe along an axis and flows through it, in at its start and out at its end; SI units, z
+    up.
+    """
+
+    name: str
+    concrete: Concrete
+    axis: Axis
+    """Its first and last pieces are straight; at most one arc lies between."""
+    radius: float
+    """Inner, at the start [m]."""
+    velocity: float
+    """Mean, at the start [m/s]."""
+    spacing: float
+    """Wanted width of the cells [m]; the nearest that divides the radius at the start."""
+    taper: tuple[float, float, float] | None = None
+    """Arc lengths between which a cone leads to another radius, and that radius [m]."""
+    wall: MeshWall | None = None
+    """Instead of the round pipe: a mesh, of which what the axis sees is the bore."""
+    published: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments that make this scene again through its scene function; empty if it has none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("radius", "velocity", "spacing"):
+            positive(name, getattr(self, name), "m/s" if name == "velocity" else "m")
+        pieces = self.axis.pieces
+        arcs = [piece for piece in pieces if isinstance(piece, Arc)]
+        if isinstance(pieces[0], Arc) or isinstance(pieces[-1], Arc) or len(arcs) > 1:
+            refuse("axis", pieces, "must begin and end straight, with one arc between at most")
+        for arc in arcs:
+            if arc.radius <= self.radius:
+                refuse("elbow radius", arc.radius, "must exceed the pipe's radius", f"take more than {self.radius:g} m")
+            between("angle", arc.angle, 1e-3, 0.75 * np.pi, "rad", "a sharper turn meets itself")
+        if self.taper is not None:
+            begin, end, narrow = self.taper
+            positive("outlet radius", narrow, "m")
+            between("taper", begin, 0, end, "m")
+            between("taper", end, np.nextafter(begin, np.inf), self.axis.length, "m", "the taper must end in the part")
+            if arcs:
+                refuse("taper", self.taper, "may not be in a part with a bend", "simulate the two one by one")
+        object.__setattr__(self, "_bores", self._measured_bores())
+        least = 2 * min(float(self.bore(s)) for s in np.linspace(0, self.axis.length, 50))
+        if self.spacing > least / FEWEST:
+            refuse("spacing", self.spacing, f"must leave {FEWEST} cells across the narrowest bore, {least:.4g} m",
+                   f"take {least / FEWEST:.3g} m or less")  # fmt: skip
+        fastest = self.velocity * (2 * self.radius / least) ** 2
+        if self.time_step * fastest > self.spacing:
+            refuse("time_step", self.time_step, f"lets concrete of {fastest:.3g} m/s pass more than a cell",
+                   f"take {self.spacing / fastest:.2g} s or less")  # fmt: skip
+        between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
+        between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
+
+    def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Arc lengths and radii of equal area of a mesh's bore [m]."""
+        if self.wall is None:
+            return None
+        inset = 1e-3 * self.radius  # a ray along a mesh's rim may miss it
+        s = np.linspace(inset, self.axis.length - inset, ALONG)
+        points, _, normal, side = self.axis.frame(s)
+        angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
+        ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
+        starts = np.broadcast_to(points[:, None], ways.shape).reshape(-1, 3)
+        reach = rays(self.wall, starts, ways.reshape(-1, 3), 10 * self.radius).reshape(-1, AROUND)
+        if np.any(reach < 0):
+            refuse("wall", self.wall.name, f"has gaps along the axis: {np.count_nonzero(reach < 0)} of {reach.size} "
+                   "probes find no wall", "close its holes, or move it so that it lies about the axis")  # fmt: skip
+        radii = np.sqrt(np.mean(reach**2, axis=1))
+        if abs(radii[0] / self.radius - 1) > 0.1:
+            refuse("radius", self.radius, f"is not that of the mesh, {radii[0]:.4g} m at the start",
+                   "give its radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
+        return s, radii
+
+    def bore(self, s: np.ndarray | float) -> np.ndarray:
+        """Radius of the bore at arc lengths [m], by its area where a mesh is not round; shape as `s`."""
+        measured = getattr(self, "_bores", None)
+        if measured is not None:
+            return np.interp(s, *measured)
+        if self.taper is None:
+            return np.full(np.shape(s), self.radius)
+        begin, end, narrow = self.taper
+        return np.interp(s, [begin, end], [self.radius, narrow])
+
+    @property
+    def flow(self) -> float:
+        """[m3/s]"""
+        return np.pi * float(self.bore(0.0)) ** 2 * self.velocity
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Arc lengths between which the part is no straight pipe [m]: its bend, its taper, or where a mesh's bore
+        changes; none: both are the middle.
+        """
+        half = 0.5 * self.axis.length
+        measured = getattr(self, "_bores", None)
+        if self.axis.pieces[0] is not self.axis.pieces[-1] and len(self.axis.pieces) > 1:
+            first = self.axis.pieces[0].length
+            return first, self.axis.length - self.axis.pieces[-1].length
+        if self.taper is not None:
+            return self.taper[0], self.taper[1]
+        if measured is not None and np.ptp(measured[1]) > 0.03 * self.radius:
+            s, radii = measured
+            changes = (np.abs(radii - radii[0]) > 0.01 * self.radius) & (np.abs(radii - radii[-1]) > 0.01 * self.radius)
+            if changes.any():
+                step = s[1] - s[0]
+                return float(s[changes].min() - step), float(s[changes].max() + step)
+        return half, half
+
+    @property
+    def rise(self) -> float:
+        """Of the whole part [m]."""
+        ends, _ = self.axis.at([0.0, self.axis.length])
+        return float(ends[1, 2] - ends[0, 2])
+
+    def theory(self, s: float) -> Steady:
+        """Steady flow through a straight, level metre of the bore there."""
+        line = Stretch(radius=float(self.bore(s)), length=1.0, gravity=0.0)
+        return steady(self.concrete, line, self.flow)
+
+    def friction(self, begin: float, end: float) -> float:
+        """Pressure that theory has lost between two arc lengths, as if each bore were a straight pipe's [Pa]."""
+        edges = np.linspace(begin, end, 41)
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        if np.ptp(self.bore(edges)) < 1e-9:
+            return self.theory(begin).pressure * (end - begin)
+        return float(sum(self.theory(s).pressure for s in middles) * (end - begin) / len(middles))
+
+    def __repr__(self) -> str:
+        shape = ", ".join(
+            f"{piece.length:g} m" if isinstance(piece, Line) else f"{np.degrees(piece.angle):.0f} degrees"
+            for piece in self.axis.pieces
+        )
+        return (
+            f"<PartScene {self.name!r}: {self.concrete.name}, R = {self.radius:g} m, {shape}, "
+            f"{self.velocity:.4g} m/s, spacing {self.spacing:g} m>"
+        )

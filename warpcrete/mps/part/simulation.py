@@ -1,0 +1,100 @@
+"""Concrete through a part of a line, from a scene to a finished run; `core/run_loop.py` has what every run shares."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ...core.errors import InstabilityError
+from ...core.method import results_of
+from ...core.provenance import arrays_hash, provenance
+from ...core.run_loop import Run
+from ...core.units import quantity
+from ..grid.flow import GridFlow
+from ..grid.state import GridState, check_memory
+from ..run import FlowRun
+from .display import PartDisplay
+from .layout import part_layout, part_room
+from .probes import UNITS, loss_along, measured
+from .quantities import QUANTITIES, Known
+from .scene import PartScene
+
+SAMPLES = 10
+"""Steps over which the pressure must be still, twice, for the flow to be steady."""
+
+
+class PartSimulation(FlowRun):
+    """A flow through a part; parameters and errors are those of :class:`warpcrete.Simulation`."""
+
+    scene_type = PartScene
+    scene: PartScene
+
+    def set_up(self) -> None:
+        """Nothing is steady yet."""
+        super().set_up()
+        self.steady = False
+
+    def unit(self, column: str) -> str:
+        """Unit of a column of the series."""
+        return UNITS[column]
+
+    def display(self, colouring: str) -> PartDisplay:
+        """What recorders draw."""
+        return PartDisplay(self, colouring)
+
+    def placed(self) -> GridFlow:
+        """The particles and the grid."""
+        check_memory(part_room(self.scene).cells, self.device, self.precision)
+        return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
+
+    def measured(self) -> dict[str, float]:
+        """A row of the series."""
+        return measured(self.flow)
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        for name, value in row.items():
+            if not math.isfinite(value):
+                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; take a smaller time "
+                                       "step, or longer straight ends")  # fmt: skip
+
+    def ended_early(self) -> bool:
+        """The pressure has been still for twice so many steps."""
+        scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
+        apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
+        if len(rows) <= 2 * apart:
+            return False
+        now, before, long_before = (rows[-1 - n * apart]["pressure"] for n in range(3))
+        least = scene.steadiness * abs(now)
+        self.steady = abs(now - before) < least and abs(before - long_before) < least
+        return self.steady
+
+    def result(self, finished: bool) -> Run:
+        """The run as it is now, with its quantities."""
+        scene, flow, rows = self.scene, self.flow, self._rows
+        series = self.series()
+        layout = flow.state.layout
+        result: dict[str, Any] = {
+            "scene": scene.name,
+            "method": "mps",
+            "finished": finished,
+            "steady": self.steady,
+            "simulated_time": quantity(flow.time, "s"),
+            "steps": flow.steps,
+            "particles": flow.count,
+            "cells": math.prod(layout.cells),
+            "spacing": quantity(layout.spacing, "m"),
+            "length": quantity(scene.axis.length, "m"),
+            "rise": quantity(scene.rise, "m"),
+            "flow": quantity(scene.flow, "m3/s"),
+        }
+        if len(rows) > 1:
+            result |= results_of(QUANTITIES, Known(scene, series))
+            s, pressure = loss_along(flow)
+            result["profile"] = {
+                "place": {"value": s.tolist(), "unit": "m"}, "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"}
+            }  # fmt: skip
+        result["speed"] = self.speed()
+        result["state_hash"] = arrays_hash(flow.state_arrays())
+        result["provenance"] = provenance(self.device, self.precision, scene.seed)
+        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
