@@ -238,7 +238,7 @@ def test_both_precisions_agree(device):
         for p in ("float32", "float64")
     ]
     one, two = (number(r["slump"]) for r in results)
-    assert one == pytest.approx(two, abs=5e-4)
+    assert one == pytest.approx(two, abs=1.5e-3)
 
 
 # Refusals, the command.
