@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from warpcrete import InstabilityError, Simulation, scenes
 from warpcrete.core.device import default_threads
+from warpcrete.core.units import number
 
 
 def result(job: tuple[str, dict, str | None]) -> dict:
@@ -136,6 +137,35 @@ class GridStudies(Studies):
                 "wall time [s]"]  # fmt: skip
         self.write("box", head, rows, "2300 kg/m3, gate lifted in 0.5 s, 10 s at most; concrete sticks to the walls.")
 
+    def parts(self) -> None:
+        """What a bend and a reducer lose beside straight pipe, for three concretes, over the spacing."""
+        constants = ("viscosity", "yield_stress", "slip_viscosity", "slip_yield")
+        mixes = {
+            "No. 1": {"concrete": "no1"},
+            "self-compacting": {"concrete": "own", "density": 2350.0} | dict(zip(constants, (30.0, 40.0, 1000.0, 20.0))),
+            "the same, sticks": {"concrete": "own", "density": 2350.0} | dict(zip(constants, (30.0, 40.0, 1e8, 0.0))),
+        }  # fmt: skip
+        shapes = {
+            "bend, R 2.5 D": {"unit": "bend-level"},
+            "bend, R 1.5 D": {"unit": "bend-level", "elbow_radius": 0.15},
+            "taper, 100 to 80 mm": {"unit": "horizontal", "outlet_diameter": 0.08},
+        }
+        cases = [(m, s, h) for m in mixes for s in shapes for h in (0.0125, 0.01, 0.00625)]
+        jobs = [mixes[m] | shapes[s] | {"spacing": h} for m, s, h in cases]
+        rows = []
+        for (mix, shape, h), r in zip(cases, self.run_tests("part", jobs)):
+            off = [
+                100 * (number(r[f"{n}_gradient"]) / number(r[f"{n}_gradient_theory"]) - 1)
+                for n in ("upstream", "downstream")
+            ]
+            rows.append(
+                [mix, shape, f"{1e3 * h:g}", f"{off[0]:+.2f}", f"{off[1]:+.2f}", value(r, "middle_loss", 1e-3),
+                 f"{r['middle_ratio']:.3f}", f"{100 * r['outflow_error']:+.3f}", value(r["speed"], "wall_time", digits=1)]
+            )  # fmt: skip
+        head = ["concrete", "part", "cells [mm]", "straight pipe before, off [%]", "behind [%]", "bend or taper [kPa]",
+                "over straight pipe of its length and bore", "volume [%]", "wall time [s]"]  # fmt: skip
+        self.write("parts", head, rows, "Pipe of 100 mm, 1.5 l/s (0.19 m/s).")
+
     def run_tests(self, name: str, jobs: list[dict]) -> list[dict]:
         """Results of a scene for each set of parameters: on a CPU in processes, one a core."""
         tasks = [(name, job, self.device) for job in jobs]
@@ -146,4 +176,4 @@ class GridStudies(Studies):
 
 
 if __name__ == "__main__":
-    main(GridStudies, ("shear", "slump", "funnel", "box"), __doc__)
+    main(GridStudies, ("shear", "slump", "funnel", "box", "parts"), __doc__)

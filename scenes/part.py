@@ -54,9 +54,7 @@ def scene(parameters: PartParameters) -> PartScene:
     bends = given.unit.startswith("bend")
     if bends and given.outlet_diameter is not None:
         refuse("outlet_diameter", given.outlet_diameter, "is that of a straight unit", "take unit vertical, horizontal")
-    concrete = concrete_of(
-        given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS}
-    )
+    concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     taper = None
     if given.outlet_diameter is not None:
         if given.wall is not None:

@@ -1,11 +1,12 @@
 """Implicit moving particles, as the rest of the program sees them."""
 
-from ..core.method import Method, run_in_turn
+from ..core.method import Method
 from .display import FlowDisplay
 from .forecast import forecast
 from .pictures import draw, plot_flow
 from .quantities import QUANTITIES, report
 from .simulation import FluidSimulation
+from .stepping import run_abreast
 
 METHOD = Method(
     name="mps",
@@ -17,5 +18,5 @@ METHOD = Method(
     show=plot_flow,
     report=report,
     forecast=forecast,
-    run_many=run_in_turn,
+    run_many=run_abreast,
 )

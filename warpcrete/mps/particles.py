@@ -12,26 +12,24 @@ import numpy as np
 import warp as wp
 
 from ..core.device import MEMORY_FRACTION, default_threads, memory_free, parallel
-from ..core.errors import CapacityError, ConvergenceError, InstabilityError
-from ..core.launching import Launcher, Size, Stage, Step, graph_sizes, launch, parameter_names
-from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE, STEPS
+from ..core.errors import CapacityError
+from ..core.launching import Launcher, Size, Stage, Step, launch, parameter_names
+from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
-from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS, OUTCOME
+from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
 from ..kernels.mps.paper_scheme import LAPLACIAN
-from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
+from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
+from .stepping import Stepping
 
 SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
 CORRECTION = 0.2  # part of the density's error that one step takes away
 HISTORY = 256  # iterations whose residual is kept
-LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
-LAUNCH = 4  # largest graphs from one look at the flags to the next
-WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 
 
-class MovingParticles:
+class MovingParticles(Stepping):
     """Carries a state forward. `threads` (CPU only) each own a range of particles.
 
     Its arrays, with meaning, unit and shape, are those of the structs in `kernels/mps/structs.py`.
@@ -221,38 +219,9 @@ class MovingParticles:
     def _alone(self) -> Step:
         return step_by_one_thread(self)
 
-    def take(self, steps: int) -> None:
-        """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
-        goal = self.steps + steps
-        while self.steps < goal:
-            count = goal - self.steps
-            largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
-            sizes = graph_sizes(min(count, LAUNCH * largest), largest)
-            self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
-            flags = self.flags.numpy()
-            self.steps = int(flags[int(STEPS)])
-            self.time = self.steps * self.scene.time_step
-            if flags[int(FAILED)]:
-                self._fail(int(flags[int(FAILED)]))
-            if flags[int(STALE)]:
-                self.build()
-
-    def advance(self, until: float) -> None:
-        """Take whole steps up to the one that ends nearest to `until` [s]."""
-        self.take(math.floor(until / self.scene.time_step + 0.5) - self.steps)
-
-    def _fail(self, what: int) -> None:
-        if what == LOST:
-            raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle left the column or is not a number; usual cure: a smaller time step"
-            )
-        solve = {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}[what]
-        outcome = solve.outcome.numpy()
-        count = int(outcome[int(ITERATIONS)])
-        history = [float(outcome[int(BEFORE)]), *map(float, solve.history.numpy()[:count])]
-        raise ConvergenceError(
-            self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
-        )
+    def solves(self) -> dict[int, Any]:
+        """Working arrays of its solves, by what they solve for."""
+        return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on.
@@ -275,15 +244,3 @@ class MovingParticles:
         self.fields.late.assign(arrays["late"])
         self.steps, self.rebuilds = int(numbers["steps"]), int(numbers["rebuilds"])
         self.time = self.steps * self.scene.time_step
-
-    def outcomes(self) -> dict[str, dict[str, float]]:
-        """Iterations and residuals of each solve in the last step."""
-        found = {}
-        for what, solve in ((VISCOSITY, self.viscous), (PRESSURE, self.projection), (DENSITY, self.shifting)):
-            outcome = solve.outcome.numpy()
-            found[WHAT[what]] = {
-                "iterations": float(outcome[int(ITERATIONS)]),
-                "before": float(outcome[int(BEFORE)]),
-                "after": float(outcome[int(AFTER)]),
-            }
-        return found

@@ -112,10 +112,8 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
             flow = between_cylinders(device, precision, cells, layers)
             flow.take(300)
             words = [f"{layer:g} Pa s/m" if layer < STICKS else "sticks" for layer in layers]
-            name = (
-                f"inner {words[0]}, outer {words[1]}, {INNER / flow.state.layout.spacing:.0f} cells: velocity, rms over "
-                "the wall's"
-            )
+            across = INNER / flow.state.layout.spacing
+            name = f"inner {words[0]}, outer {words[1]}, {across:.0f} cells: velocity, rms over the wall's"
             found.append(Row(name, couette_error(flow, layers), 0.0, allowed, scale=1.0))
     return found
 

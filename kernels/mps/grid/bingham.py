@@ -71,7 +71,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """`apparent` viscosity of a rate, `apparent_at_edge` where a plug may end, `at_wall` and `near_wall`."""
+    """`apparent` viscosity of a rate, `apparent_at_edge` where a plug may end, and `at_wall`."""
     Cells = cells_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)
     apparent, unyielded, rate_of, rate_slope, once, twice = (
@@ -140,35 +140,4 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 break
         return stress, scalar(1.0) / growth, slip
 
-    @wp.func
-    def near_wall(
-        g: Cells, speed: scalar, gap: scalar, inner: scalar, far: scalar, slip_viscosity: scalar, slip_yield: scalar
-    ):  # fmt: skip
-        """Stress of a wall, its growth with the `speed` along it at a point `gap` away, and the slip velocity; stress
-        falls in a straight line to `inner` at the distance `far`.
-        """
-        part = gap / far
-        sheared = scalar(2.0) * (g.yield_stress + g.viscosity * speed / gap)
-        stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
-        growth = scalar(1.0)
-        slip = scalar(0.0)
-        least = scalar(0.1) * gap / unyielded(g)
-        for _ in range(40):
-            slip = wp.max(stress - slip_yield, scalar(0.0)) / slip_viscosity
-            change = part * (stress - wp.min(inner, stress))
-            there = stress - change
-            mean = rate_of(g, stress - scalar(0.5) * change)
-            grows = rate_slope(g, stress - scalar(0.5) * change)
-            if change > scalar(0.02) * stress:
-                mean = (once(g, stress) - once(g, there)) / change
-                grows = (rate_of(g, stress) - (scalar(1.0) - part) * rate_of(g, there) - part * mean) / change
-            growth = wp.max(gap * grows, least)
-            if stress > slip_yield:
-                growth += scalar(1.0) / slip_viscosity
-            step = (slip + gap * mean - speed) / growth
-            stress = wp.max(stress - step, scalar(0.0))
-            if wp.abs(step) <= scalar(1.0e-6) * stress:
-                break
-        return stress, scalar(1.0) / growth, slip
-
-    return SimpleNamespace(apparent=apparent, apparent_at_edge=apparent_at_edge, at_wall=at_wall, near_wall=near_wall)
+    return SimpleNamespace(apparent=apparent, apparent_at_edge=apparent_at_edge, at_wall=at_wall)

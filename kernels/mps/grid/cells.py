@@ -298,10 +298,6 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
     )  # fmt: skip
 
     @wp.func
-    def known(kind: wp.int32) -> wp.bool:
-        return wp.where(kind == LIQUID, True, kind == FIXED)
-
-    @wp.func
     def open_area(g: Cells, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
         """Of a face that concrete flows through."""
         if wp.static(of.cut):
@@ -312,7 +308,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
     def unknown(kind: wp.int32) -> wp.bool:
         """Do viscosity and walls change the face's velocity?"""
         if wp.static(of.cut):
-            return kind == LIQUID or kind == GHOST
+            return wp.where(kind == LIQUID, True, kind == GHOST)
         return kind == LIQUID
 
     @wp.func
@@ -385,6 +381,6 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             return walls.velocity[wall][axis] + wp.cross(w, d)[axis]
 
     return SimpleNamespace(
-        **vars(places), known=known, open_area=open_area, unknown=unknown, sheared=sheared, wetness=wetness, shear=shear,
-        stretch=stretch, wall_speed=wall_speed,
+        **vars(places), open_area=open_area, unknown=unknown, sheared=sheared, wetness=wetness,
+        shear=shear, stretch=stretch, wall_speed=wall_speed,
     )  # fmt: skip

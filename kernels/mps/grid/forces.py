@@ -184,9 +184,8 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                         if wp.static(of.cut):
                             # What a wall rubs on between this face and the next.
                             lower = f.moved(c, b, side - 1)
-                            if wp.static(of.periodic) and b == wp.static(of.dimensions - 1) or (
-                                lower[b] >= -1 and lower[b] < g.n[b]
-                            ):
+                            around = b == wp.static(dims - 1 if of.periodic else -1)
+                            if around or (lower[b] >= -1 and lower[b] < g.n[b]):
                                 k = (axis * dims + b) * g.slots + f.at(g, lower)
                                 grip = mesh.grip[k]
                                 if grip > scalar(0.0):

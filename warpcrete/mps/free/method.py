@@ -1,6 +1,7 @@
 """Flows with a free surface, as the rest of the program sees them."""
 
-from ...core.method import Method, run_in_turn
+from ...core.method import Method
+from ..stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast
 from .pictures import draw, plot_free
@@ -17,5 +18,5 @@ METHOD = Method(
     show=plot_free,
     report=report,
     forecast=forecast,
-    run_many=run_in_turn,
+    run_many=run_abreast,
 )

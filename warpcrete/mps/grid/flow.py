@@ -15,14 +15,9 @@ import numpy as np
 import warp as wp
 
 from ...core.device import parallel
-from ...core.errors import ConvergenceError, InstabilityError
-from ...core.launching import Launcher, Loop, Stage, Step, graph_sizes, members, parameter_names
-from ...kernels.common.control import FAILED, HALTED, STEPS
+from ...core.launching import Launcher, Loop, Stage, Step, members, parameter_names
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import (
-    AFTER,
-    BEFORE,
-    ITERATIONS,
     OUTCOME,
     parallel_iteration,
     parallel_start,
@@ -34,17 +29,15 @@ from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.motion import finish
-from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY, array_structs, flow_struct
+from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
+from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # iterations whose residual is kept
-LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
-LAUNCH = 4  # largest graphs from one look at the flags to the next
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # of what flows through a cell's sides
 EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
 CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
-WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,7 @@ class System:
         return -(-self.rows // BLOCK)
 
 
-class GridFlow:
+class GridFlow(Stepping):
     """Carries a state forward."""
 
     threads = 1
@@ -278,46 +271,9 @@ class GridFlow:
             body += [stage(multiply, whole), stage(update, whole, now=now), stage(direct, whole, now=now)]
         return [stage(begin, whole), stage(ready, BLOCK), Loop(system.arrays.going, body)]
 
-    # Stepping.
-
-    def take(self, steps: int) -> None:
-        """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
-        goal = self.steps + steps
-        while self.steps < goal:
-            largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
-            sizes = graph_sizes(min(goal - self.steps, LAUNCH * largest), largest)
-            self._launcher.replay(self.step, lambda: self.step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
-            flags = self.flags.numpy()
-            self.steps = int(flags[int(STEPS)])
-            self.time = self.steps * self.scene.time_step
-            if flags[int(FAILED)]:
-                self._fail(int(flags[int(FAILED)]))
-
-    def advance(self, until: float) -> None:
-        """Take whole steps up to the one that ends nearest to `until` [s]."""
-        self.take(math.floor(until / self.scene.time_step + 0.5) - self.steps)
-
-    def _fail(self, what: int) -> None:
-        if what == LOST:
-            raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle's velocity is not a number; usual cure: a smaller time step"
-            )
-        arrays = self._systems[what].arrays
-        outcome = arrays.outcome.numpy()
-        count = int(outcome[int(ITERATIONS)])
-        history = [float(outcome[int(BEFORE)]), *map(float, arrays.history.numpy()[:count])]
-        raise ConvergenceError(
-            self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
-        )
-
-    def outcomes(self) -> dict[str, dict[str, float]]:
-        """Iterations and residuals of each solve in the last step."""
-        found = {}
-        for what, system in self._systems.items():
-            outcome = system.arrays.outcome.numpy()
-            numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
-            found[WHAT[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
-        return found
+    def solves(self) -> dict[int, Any]:
+        """Working arrays of its solves, by what they solve for."""
+        return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on."""

@@ -92,7 +92,11 @@ class GridState:
     def _rows(self, name: str) -> int:
         """Of an array of the grid."""
         pushed = self.layout.axes**2 if self.layout.kind.cut else 0
-        many = {"bin": int(BIN), "grip": pushed, "pull": pushed, "lean": pushed} | dict.fromkeys(FACES, self.layout.axes) | dict.fromkeys(EDGES, self.layout.kind.pairs)
+        many = (
+            {"bin": int(BIN), "grip": pushed, "pull": pushed, "lean": pushed}
+            | dict.fromkeys(FACES, self.layout.axes)
+            | dict.fromkeys(EDGES, self.layout.kind.pairs)
+        )
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:

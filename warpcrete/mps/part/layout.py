@@ -171,4 +171,3 @@ def stations(scene: PartScene, room: Room) -> np.ndarray:
     places = room.places([0.5] * 3)[1:-1, 1:-1, 1:-1]
     flat = scene.axis.along(Frame(scene).outward(places.reshape(-1, 3)))
     return flat.reshape(places.shape[:-1]).transpose(2, 1, 0)
-

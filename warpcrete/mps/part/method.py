@@ -1,6 +1,7 @@
 """Flows through parts of a line, as the rest of the program sees them."""
 
-from ...core.method import Method, run_in_turn
+from ...core.method import Method
+from ..stepping import run_abreast
 from .display import PartDisplay
 from .forecast import forecast
 from .pictures import draw, plot_part
@@ -17,5 +18,5 @@ METHOD = Method(
     show=plot_part,
     report=report,
     forecast=forecast,
-    run_many=run_in_turn,
+    run_many=run_abreast,
 )

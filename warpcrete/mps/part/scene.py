@@ -121,11 +121,11 @@ class PartScene(PartSettings):
         """Radius of the bore at arc lengths [m], by its area where a mesh is not round; shape as `s`."""
         measured = getattr(self, "_bores", None)
         if measured is not None:
-            return np.interp(s, *measured)
+            return np.asarray(np.interp(s, *measured))
         if self.taper is None:
             return np.full(np.shape(s), self.radius)
         begin, end, narrow = self.taper
-        return np.interp(s, [begin, end], [self.radius, narrow])
+        return np.asarray(np.interp(s, [begin, end], [self.radius, narrow]))
 
     @property
     def flow(self) -> float:

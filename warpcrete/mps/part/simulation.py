@@ -92,8 +92,9 @@ class PartSimulation(FlowRun):
             result |= results_of(QUANTITIES, Known(scene, series))
             s, pressure = loss_along(flow)
             result["profile"] = {
-                "place": {"value": s.tolist(), "unit": "m"}, "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"}
-            }  # fmt: skip
+                "place": {"value": s.tolist(), "unit": "m"},
+                "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},
+            }
         result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())
         result["provenance"] = provenance(self.device, self.precision, scene.seed)

@@ -1,0 +1,227 @@
+"""Parts of a line as flows: straights, bends, reducers and meshes against theory; refusals; several at once."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from warpcrete import scenes
+from warpcrete.core.errors import SceneError
+from warpcrete.core.units import number
+from warpcrete.geometry.axis import Axis, Line
+from warpcrete.mps.part.layout import INLET, Frame, part_layout
+from warpcrete.mps.part.scene import PartScene
+from warpcrete.mps.part.simulation import PartSimulation
+from warpcrete.mps.stepping import run_abreast
+from warpcrete.mps.theory import Concrete
+from warpcrete.scenes import modules
+
+SHORT = {"straight": 0.2, "spacing": 0.0125}
+OWN = {"concrete": "own", "density": 2300.0, "viscosity": 20.0, "yield_stress": 0.0, "slip_viscosity": 900.0,
+       "slip_yield": 0.0}  # fmt: skip
+
+
+def run(device, **given):
+    return PartSimulation(scenes.part(**SHORT | given), device=device).run()
+
+
+def off(result, name):
+    """Of a gradient, from theory."""
+    return number(result[f"{name}_gradient"]) / number(result[f"{name}_gradient_theory"]) - 1
+
+
+# Measured, with four cells over the radius: +0.010, -0.022 and +0.015; halved by twice as many.
+@pytest.mark.parametrize(
+    "more, least, most",
+    [(OWN, 0.0, 0.02), (OWN | {"slip_viscosity": 1e8}, -0.03, 0.0), ({"concrete": "no1"}, 0.0, 0.025)],
+    ids=["slips", "sticks", "no1"],
+)
+def test_a_straight_pipe_loses_what_theory_says(device, more, least, most):
+    result = run(device, unit="horizontal", **more).result
+    assert result["steady"] and number(result["rise"]) == 0
+    assert least < off(result, "upstream") < most and least < off(result, "downstream") < most
+    assert abs(result["outflow_error"]) < 1e-3
+    assert "middle_loss" not in result
+
+
+def test_an_upright_pipe_bears_its_weight_besides(device):
+    level, upright = (run(device, unit=unit, **OWN).result for unit in ("horizontal", "vertical"))
+    weight = 2300.0 * 9.81 * 0.4
+    assert number(upright["rise"]) == pytest.approx(0.4)
+    assert number(upright["pressure"]) - number(level["pressure"]) == pytest.approx(weight, rel=1e-3)
+
+
+@pytest.mark.parametrize("unit", ["bend-to-vertical", "bend-level"])
+def test_a_bend_loses_a_little_more_than_a_straight_pipe(device, unit):
+    found = run(device, unit=unit, **OWN)
+    result = found.result
+    assert abs(off(result, "upstream")) < 0.025 and abs(off(result, "downstream")) < 0.025
+    assert 1.0 < result["middle_ratio"] < 1.1 and abs(result["outflow_error"]) < 1e-3
+    rise = 0.45 if unit == "bend-to-vertical" else 0.0
+    assert number(result["rise"]) == pytest.approx(rise, abs=1e-9)
+    assert all(good for good, _ in modules()["part"].check(found).values())
+
+
+def test_a_bend_of_any_angle_lets_out_what_comes_in(device):
+    """The plane that concrete enters through lies aslant in the cells."""
+    result = run(device, unit="bend-level", angle=37.0, **OWN).result
+    assert abs(result["outflow_error"]) < 1e-3 and abs(off(result, "upstream")) < 0.02
+
+
+def test_a_reducer_from_a_mesh_is_one_by_formula(device, tmp_path):
+    """A cone between two pipes, once known to the grid, once from an STL file in millimetres."""
+    axis, facets = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),)), 96
+    s, radii = np.array([-0.05, 0.2, 0.4, 0.65]), np.array([0.05, 0.05, 0.04, 0.04])
+    angle = 2 * np.pi * np.arange(facets) / facets
+    ring = np.stack([np.cos(angle), np.sin(angle)], 1)
+    vertices = np.concatenate([np.column_stack([np.full(facets, x), r * ring]) for x, r in zip(s, radii)])
+    faces = []
+    for k in range(3):
+        for n in range(facets):
+            a, b = k * facets + n, k * facets + (n + 1) % facets
+            faces += [(a, b, a + facets), (b, b + facets, a + facets)]
+    path = tmp_path / "reducer.stl"
+    trimesh.Trimesh(1e3 * vertices, faces).export(path)
+    given = OWN | {"unit": "horizontal", "straight": 0.2, "spacing": 0.0125}
+    known = run(device, **given, outlet_diameter=0.08, taper=0.2).result
+    straight = given | {"straight": 0.3}
+    meshed = run(device, **straight, wall=str(path), wall_scale=1e-3)
+    assert meshed.scene.axis.length == pytest.approx(axis.length)
+    assert meshed.scene.middle == pytest.approx((0.2, 0.4), abs=0.015)
+    for name in ("pressure", "pressure_theory", "downstream_gradient", "downstream_gradient_theory"):
+        assert number(meshed.result[name]) == pytest.approx(number(known[name]), rel=0.02), name
+    assert abs(off(known, "upstream")) < 0.02 and abs(off(known, "downstream")) < 0.04
+    assert 1.0 < known["middle_ratio"] < 1.15
+
+
+def test_what_leaves_comes_in_again(device):
+    """No particle is lost, and none stays behind: after some time most have been through."""
+    simulation = PartSimulation(
+        scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 1.5, "steadiness": 1e-12}), device=device
+    )
+    simulation.prepare()
+    layout, flow = simulation.state.layout, simulation.flow
+    before = flow.particles.position.numpy().copy()  # on a CPU it is the array itself
+    flow.advance(0.5)
+    after = flow.particles.position.numpy()
+    assert np.all(flow.particles.mass.numpy() > 0)
+    jumped = after[:, 2] < before[:, 2] - 0.1
+    # In half a second 0.191 m/s take them a quarter of the way.
+    assert np.mean(jumped) == pytest.approx(0.5 * 0.191 / 0.4, rel=0.15)
+    assert np.all(after[:, 2] <= 0) and np.all(after[:, 2] > -0.4 - layout.spacing)
+
+
+def test_the_plane_of_the_inlet_brings_the_flow(device):
+    """At any angle the speed of the plane is that at which the cells take in what is asked."""
+    for angle in (90.0, 61.0):
+        scene = scenes.part(unit="bend-level", angle=angle, **OWN | SHORT)
+        layout = part_layout(scene)
+        speed = math.hypot(*layout.motions[0].velocity)
+        assert speed == pytest.approx(scene.velocity, rel=0.04)
+        assert np.count_nonzero(layout.geometry.surface == INLET) > 50
+
+
+def test_frames_turn_places_and_turn_them_back():
+    scene = scenes.part(unit="bend-to-horizontal", **OWN | SHORT)
+    frame = Frame(scene)
+    places = np.random.default_rng(1).normal(size=(20, 3))
+    assert frame.outward(frame.inward(places)) == pytest.approx(places)
+    ends, ways = scene.axis.at([0.0, scene.axis.length])
+    assert frame.inward(ends[1:]) == pytest.approx(0.0, abs=1e-12)
+    assert frame.axes @ ways[1] == pytest.approx([0, 0, 1]) and frame.axes @ ways[0] == pytest.approx([1, 0, 0])
+    assert np.linalg.det(frame.axes) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"spacing": 0.03}, "spacing = 0.03: must leave 6 cells"),
+        ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: lets concrete"),
+        ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
+        ({"outlet_diameter": 0.08}, "outlet_diameter = 0.08: is that of a straight unit"),
+        ({"angle": 170.0}, "angle = 170"),
+        ({"flow": 0.0}, "flow = 0.0"),
+        ({"unit": "sideways"}, "unit = 'sideways'"),
+        ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': is no file"),
+        ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "is the mesh's own"),
+    ],
+)
+def test_what_is_no_part_is_refused(given, words):
+    with pytest.raises(SceneError, match=words.replace("(", r"\(")):
+        scenes.part(**given)
+
+
+def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):
+    box = tmp_path / "box.stl"
+    trimesh.creation.box((0.3, 0.01, 0.3)).export(box)
+    with pytest.raises(SceneError, match="has gaps along the axis"):
+        scenes.part(unit="horizontal", wall=str(box))
+    wide = tmp_path / "wide.stl"
+    tube = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),)).tube(0.08, before=0.1, after=0.1)
+    trimesh.Trimesh(*tube).export(wide)
+    with pytest.raises(SceneError, match=r"radius = 0.05: is not that of the mesh, 0.0799"):
+        scenes.part(unit="horizontal", wall=str(wide))
+
+
+def test_an_axis_that_begins_with_a_bend_is_refused():
+    scene = scenes.part(**OWN | SHORT)
+    with pytest.raises(SceneError, match="must begin and end straight"):
+        dataclasses.replace(scene, axis=Axis((0, 0, 0), (0, 0, 1), scene.axis.pieces[1:]))
+
+
+def test_a_cut_run_goes_on_with_the_same_bits(device, tmp_path):
+    scene = scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 0.06, "steadiness": 1e-12})
+    whole = PartSimulation(scene, device=device).run()
+    first = PartSimulation(scene, device=device)
+    first.prepare()
+    first.flow.advance(0.02)
+    path = tmp_path / "part.checkpoint"
+    first.measured()
+    first.save(path)
+    second = PartSimulation(scene, device=device)
+    second.resume(path)
+    second.flow.advance(0.06)
+    assert np.array_equal(second.flow.particles.position.numpy(), _at_end(scene, device))
+    assert whole.result["state_hash"] == second.result(True).result["state_hash"]
+
+
+def _at_end(scene: PartScene, device) -> np.ndarray:
+    simulation = PartSimulation(scene, device=device)
+    simulation.prepare()
+    simulation.flow.advance(0.06)
+    return simulation.flow.particles.position.numpy()
+
+
+def test_runs_abreast_do_what_they_do_alone(device):
+    """Of different length and size, one of which fails; on a GPU each goes on a stream of its own."""
+    paste = Concrete(density=2300, viscosity=20, yield_stress=10, slip_viscosity=900, slip_yield=20)
+    wanted = [
+        scenes.part(unit="horizontal", **OWN | SHORT | {"flow": flow, "duration": 0.1}) for flow in (1e-3, 1.5e-3, 2e-3)
+    ] + [
+        scenes.channel(ends="periodic", concrete="no1", duration=0.02),
+        scenes.channel(concrete="no2", spacing=0.01, length=0.1, duration=0.02),
+        scenes.part(unit="horizontal", **OWN | SHORT | {"maximum_iterations": 2}),
+        dataclasses.replace(scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 0.05}), concrete=paste),
+    ]
+    from warpcrete.core.run_loop import Simulation
+
+    alone = []
+    for scene in wanted:
+        try:
+            alone.append(Simulation(scene, device=device).run())
+        except Exception as error:
+            alone.append(error)
+    done = []
+    together = run_abreast(
+        [Simulation(scene, device=device) for scene in wanted], [None] * len(wanted),
+        lambda phase, fraction: done.append(fraction),
+    )  # fmt: skip
+    assert done == pytest.approx(np.arange(1, len(wanted) + 1) / len(wanted))
+    for one, other in zip(alone, together, strict=True):
+        if isinstance(one, Exception):
+            assert type(other) is type(one) and str(other) == str(one)
+        else:
+            assert other.result["state_hash"] == one.result["state_hash"] and other.finished
+    assert sum(isinstance(outcome, Exception) for outcome in together) == 1

@@ -1,0 +1,211 @@
+"""How flows take steps: graphs of some, then a look at what they came to; several flows abreast on a GPU."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.device import parallel
+from ..core.errors import CapacityError, ConvergenceError, InstabilityError
+from ..core.launching import Launcher, Step, graph_sizes
+from ..core.method import Progress, run_in_turn
+from ..core.run_loop import Coroutine, Run
+from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
+from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
+from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
+
+LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
+LAUNCH = 4  # largest graphs from one look at the flags to the next
+WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
+ABREAST = 64
+"""Flows that a GPU carries forward at once, at most."""
+
+
+class Stepping(ABC):
+    """A flow that takes steps of constant size by replaying graphs of them."""
+
+    scene: Any
+    flags: wp.array
+    parallel: bool
+    time: float
+    steps: int
+    _launcher: Launcher
+
+    @property
+    @abstractmethod
+    def step(self) -> Step:
+        """Stages of one step, a list for each thread."""
+
+    @abstractmethod
+    def solves(self) -> dict[int, Any]:
+        """Working arrays of its solves, by what they solve for."""
+
+    def _alone(self) -> Step:
+        return self.step
+
+    def build(self) -> None:
+        """What a step asked for, to be done between steps."""
+        raise TypeError(f"{type(self).__name__} does nothing between steps")
+
+    def take(self, steps: int) -> None:
+        """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
+        goal = self.steps + steps
+        while self.steps < goal:
+            self.launch(goal)
+            self.settle()
+
+    def advance(self, until: float) -> None:
+        """Take whole steps up to the one that ends nearest to `until` [s]."""
+        self.take(self.goal(until) - self.steps)
+
+    def goal(self, until: float) -> int:
+        """Steps up to the one that ends nearest to `until` [s]."""
+        return math.floor(until / self.scene.time_step + 0.5)
+
+    def launch(self, goal: int) -> None:
+        """Set out towards so many steps, some of the way at most; a GPU takes them while Python goes on."""
+        largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
+        sizes = graph_sizes(min(goal - self.steps, LAUNCH * largest), largest)
+        self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+
+    def settle(self) -> None:
+        """Wait, and see how far that came. Raises what a step failed with."""
+        flags = self.flags.numpy()
+        self.steps = int(flags[int(STEPS)])
+        self.time = self.steps * self.scene.time_step
+        if flags[int(FAILED)]:
+            self._fail(int(flags[int(FAILED)]))
+        if flags[int(STALE)]:
+            self.build()
+
+    def _fail(self, what: int) -> None:
+        if what == LOST:
+            raise InstabilityError(
+                f"t = {self.time:.6g} s: a particle left the vessel or is not a number; usual cure: a smaller time step"
+            )
+        solve = self.solves()[what]
+        outcome = solve.outcome.numpy()
+        count = int(outcome[int(ITERATIONS)])
+        history = [float(outcome[int(BEFORE)]), *map(float, solve.history.numpy()[:count])]
+        raise ConvergenceError(
+            self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
+        )
+
+    def outcomes(self) -> dict[str, dict[str, float]]:
+        """Iterations and residuals of each solve in the last step."""
+        found = {}
+        for what, solve in self.solves().items():
+            outcome: np.ndarray = solve.outcome.numpy()
+            numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
+            found[WHAT[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
+        return found
+
+
+class _Run:
+    """A simulation that runs beside others on a stream of its own."""
+
+    def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
+        self.simulation, self.checkpoint = simulation, checkpoint
+        self.stream = wp.Stream(simulation.device)
+        self.outcome: Run | BaseException | None = None
+        self._goal = 0
+        self._coroutine: Coroutine | None = None
+
+    @property
+    def flow(self) -> Stepping:
+        return self.simulation.stepper
+
+    def begin(self) -> None:
+        """Up to the first steps. Raises :class:`CapacityError` if the device has no room for it now."""
+        with self._aside():
+            simulation = self.simulation
+            if self.checkpoint is not None:
+                simulation.resume(self.checkpoint)
+            elif not simulation.prepared:
+                simulation.prepare()
+            self._coroutine = simulation.running()
+            self._on(None)
+
+    def go(self) -> None:
+        """What it did set out for is done: see, and set out again, or end."""
+        with self._aside():
+            error: BaseException | None = None
+            try:
+                self.flow.settle()
+                if self.flow.steps < self._goal:
+                    self.flow.launch(self._goal)
+                    return
+            except (Exception, KeyboardInterrupt) as failure:
+                error = failure
+            self._on(error)
+
+    def _on(self, error: BaseException | None) -> None:
+        """To the next time that the run wants to be at."""
+        assert self._coroutine is not None
+        try:
+            while True:
+                wanted = next(self._coroutine) if error is None else self._coroutine.throw(error)
+                error = None
+                try:
+                    self._goal = self.flow.goal(wanted.time)
+                    if self.flow.steps < self._goal:
+                        self.flow.launch(self._goal)
+                        return
+                except (Exception, KeyboardInterrupt) as failure:
+                    error = failure
+        except StopIteration as end:
+            self.outcome = end.value
+        except (Exception, KeyboardInterrupt) as failure:
+            self.outcome = failure
+
+    def _aside(self) -> Any:
+        return wp.ScopedStream(self.stream, sync_enter=False)
+
+
+def run_abreast(
+    simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
+) -> list[Run | BaseException]:
+    """Run flows of one device: on a GPU side by side, as many as it has room for, each on a stream; on a CPU in turn.
+
+    Each does what it does alone, to the bit; what fails harms no other.
+    """
+    if len(simulations) < 2 or not parallel(simulations[0].device):
+        return run_in_turn(simulations, checkpoints, progress)
+    left = [_Run(*pair) for pair in zip(simulations, checkpoints)]
+    everyone, under_way = list(left), []
+    while left or under_way:
+        while left and len(under_way) < ABREAST:
+            run = left[0]
+            try:
+                if run.simulation.stop_requested:
+                    raise KeyboardInterrupt
+                run.begin()
+            except CapacityError as full:
+                if under_way:
+                    break  # until others have ended
+                run.outcome = full
+            except (Exception, KeyboardInterrupt) as failure:
+                run.outcome = failure
+            left.pop(0)
+            if run.outcome is None:
+                under_way.append(run)
+            else:
+                _end(run, everyone, progress)
+        for run in list(under_way):
+            wp.synchronize_stream(run.stream)
+            run.go()
+            if run.outcome is not None:
+                under_way.remove(run)
+                _end(run, everyone, progress)
+    return [run.outcome for run in everyone if run.outcome is not None]
+
+
+def _end(run: _Run, everyone: list[_Run], progress: Progress) -> None:
+    run.simulation.release()
+    progress("running", sum(each.outcome is not None for each in everyone) / len(everyone))
