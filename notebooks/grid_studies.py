@@ -139,12 +139,12 @@ class GridStudies(Studies):
 
     def parts(self) -> None:
         """What a bend and a reducer lose beside straight pipe, for three concretes, over the spacing."""
-        constants = ("viscosity", "yield_stress", "slip_viscosity", "slip_yield")
+        own = {"concrete": "own", "density": 2350.0, "viscosity": 30.0, "yield_stress": 40.0}
         mixes = {
             "No. 1": {"concrete": "no1"},
-            "self-compacting": {"concrete": "own", "density": 2350.0} | dict(zip(constants, (30.0, 40.0, 1000.0, 20.0))),
-            "the same, sticks": {"concrete": "own", "density": 2350.0} | dict(zip(constants, (30.0, 40.0, 1e8, 0.0))),
-        }  # fmt: skip
+            "self-compacting": own | {"slip_viscosity": 1000.0, "slip_yield": 20.0},
+            "the same, sticks": own | {"slip_viscosity": 1e8, "slip_yield": 0.0},
+        }
         shapes = {
             "bend, R 2.5 D": {"unit": "bend-level"},
             "bend, R 1.5 D": {"unit": "bend-level", "elbow_radius": 0.15},
@@ -160,7 +160,8 @@ class GridStudies(Studies):
             ]
             rows.append(
                 [mix, shape, f"{1e3 * h:g}", f"{off[0]:+.2f}", f"{off[1]:+.2f}", value(r, "middle_loss", 1e-3),
-                 f"{r['middle_ratio']:.3f}", f"{100 * r['outflow_error']:+.3f}", value(r["speed"], "wall_time", digits=1)]
+                 f"{r['middle_ratio']:.3f}", f"{100 * r['outflow_error']:+.3f}",
+                 value(r["speed"], "wall_time", digits=1)]
             )  # fmt: skip
         head = ["concrete", "part", "cells [mm]", "straight pipe before, off [%]", "behind [%]", "bend or taper [kPa]",
                 "over straight pipe of its length and bore", "volume [%]", "wall time [s]"]  # fmt: skip

@@ -119,7 +119,7 @@ def test_the_plane_of_the_inlet_brings_the_flow(device):
         scene = scenes.part(unit="bend-level", angle=angle, **OWN | SHORT)
         layout = part_layout(scene)
         speed = math.hypot(*layout.motions[0].velocity)
-        assert speed == pytest.approx(scene.velocity, rel=0.04)
+        assert speed == pytest.approx(scene.velocity, rel=0.06)
         assert np.count_nonzero(layout.geometry.surface == INLET) > 50
 
 
