@@ -21,6 +21,7 @@ from warpcrete.dem.probes import contact_sums
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.kernels.mps import conjugate_gradient
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.state import FluidState
 
@@ -162,15 +163,24 @@ FLOWS = {
 }
 
 
+@pytest.fixture(params=["one block", "many blocks"])
+def many(request, monkeypatch):
+    """Whether solves on a GPU take many blocks, as large ones do."""
+    if request.param == "many blocks":
+        monkeypatch.setattr(conjugate_gradient, "SMALL", 0)
+    return request.param == "many blocks"
+
+
 @pytest.mark.parametrize("name", FLOWS)
-def test_flows_go_the_same_either_way(name):
+def test_flows_go_the_same_either_way(name, many):
     """Solves in blocks against solves in a row, lists by entry against lists by row."""
     scene = FLOWS[name]()
     found = []
     for gpu in (False, True):
         with share_out_like_a_gpu() if gpu else nullcontext():
             flow = MovingParticles(FluidState(scene, find_device("cpu"), "float64"), threads=1)
-            assert flow.parallel == gpu == any(isinstance(stage, Loop) for stage in flow.step[0])
+            assert flow.parallel == gpu
+            assert (gpu and many) == any(isinstance(stage, Loop) for stage in flow.step[0])
             flow.take(6)
         particles = flow.particles
         found.append([a.numpy().astype(float) for a in (particles.position, particles.velocity, particles.pressure)])
@@ -189,7 +199,7 @@ GRIDS = {
 
 
 @pytest.mark.parametrize("pick", GRIDS)
-def test_a_grid_steps_abreast_as_it_does_in_turn(pick):
+def test_a_grid_steps_abreast_as_it_does_in_turn(pick, many):
     """Bins filled in any order and sorted, sums of blocks, solves in a loop."""
     found = []
     for gpu in (False, True):
@@ -197,15 +207,27 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick):
             simulation = Simulation(GRIDS[pick](), device="cpu", precision="float64")
             simulation.prepare()
             flow = simulation.flow
-            assert flow.parallel == gpu == any(isinstance(stage, Loop) for stage in flow.step[0])
+            assert flow.parallel == gpu
+            assert (gpu and many) == any(isinstance(stage, Loop) for stage in flow.step[0])
             flow.take(15)
-        found.append((flow.particles.position.numpy(), flow.particles.velocity.numpy(), flow.mesh.traction.numpy()))
+        rubbed = flow.mesh.pull if flow.state.layout.kind.cut else flow.mesh.traction
+        found.append([array.numpy() for array in (flow.particles.position, flow.particles.velocity, rubbed)])
     for one, two in zip(*found, strict=True):
         assert np.abs(one).max() > 1e-3 and two == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
 
 
-def kernels_of_a_step(pick):
+def kernels_of_a_step(pick, monkeypatch):
     """Kernels of the steps of both methods, and of a rebuild, as a GPU has them."""
+    found = {}
+    for rows in (0, conjugate_gradient.SMALL):
+        with monkeypatch.context() as patch:
+            patch.setattr(conjugate_gradient, "SMALL", rows)
+            found |= kernels_of_solves(pick)
+    return found
+
+
+def kernels_of_solves(pick):
+    """The same for one kind of solves."""
     with share_out_like_a_gpu():
         if pick == "elements":
             scene = scenes.pipe(shapes="reference", wall="mesh", facets=12, layer_viscosity=10.0, energy_balance=True,
@@ -226,9 +248,9 @@ def kernels_of_a_step(pick):
 
 
 @pytest.mark.parametrize("pick", ["elements", "one phase", "two phases", *GRIDS])
-def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
+def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path, monkeypatch):
     """For an H100's or H200's architecture, by the compiler that Warp brings along."""
-    kernels = kernels_of_a_step(pick)
+    kernels = kernels_of_a_step(pick, monkeypatch)
     assert len(kernels) > 8
     for number, kernel in enumerate(kernels.values()):
         folder = tmp_path / str(number)

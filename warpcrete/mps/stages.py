@@ -19,7 +19,14 @@ from typing import Any
 from ..core.launching import Loop, Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
-from ..kernels.mps.conjugate_gradient import parallel_iteration, parallel_start, serial_solver
+from ..kernels.mps.conjugate_gradient import (
+    WIDE,
+    block_solver,
+    in_one_block,
+    parallel_iteration,
+    parallel_start,
+    serial_solver,
+)
 from ..kernels.mps.motion import advance_kernel, finish, shift_kernel
 from ..kernels.mps.operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
 from ..kernels.mps.rigid import places_kernel, velocities_kernel
@@ -188,6 +195,9 @@ class StepPart:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
+        if in_one_block(p.count):
+            named = {"what": what, "maximum": maximum, "system": system, "x": x, **goal}
+            return [p.stage(block_solver(*kind), WIDE, block=WIDE, **named)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
         arrays = [members(kernel, matrix=p.matrix, system=system) for kernel in (multiply, update, direct)]

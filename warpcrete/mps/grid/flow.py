@@ -19,6 +19,9 @@ from ...core.launching import Launcher, Loop, Stage, Step, members, parameter_na
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import (
     OUTCOME,
+    WIDE,
+    block_solver,
+    in_one_block,
     parallel_iteration,
     parallel_start,
     serial_solver,
@@ -256,13 +259,15 @@ class GridFlow(Stepping):
             "parts": 1, "lower": 0, "upper": 1, "workers": 1,
         }  # fmt: skip
 
-        def stage(kernel: Any, tasks: int, **more: Any) -> Stage:
+        def stage(kernel: Any, tasks: int, block: int = BLOCK, **more: Any) -> Stage:
             given = named | members(kernel, matrix=system.matrix, system=system.arrays) | more
             own = {name: given[name] for name in parameter_names(kernel)}
-            return Stage(kernel, tasks, own, self.device, block=BLOCK if self.parallel else None)
+            return Stage(kernel, tasks, own, self.device, block=block if self.parallel else None)
 
         if not self.parallel:
             return [stage(serial_solver(*kind), 1)]
+        if in_one_block(system.rows):
+            return [stage(block_solver(*kind), WIDE, WIDE)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
         whole = BLOCK * system.blocks
