@@ -166,8 +166,7 @@ FLOWS = {
 @pytest.fixture(params=["one block", "many blocks"])
 def many(request, monkeypatch):
     """Whether solves on a GPU take many blocks, as large ones do."""
-    if request.param == "many blocks":
-        monkeypatch.setattr(conjugate_gradient, "SMALL", 0)
+    monkeypatch.setattr(conjugate_gradient, "SMALL", 0 if request.param == "many blocks" else 10**9)
     return request.param == "many blocks"
 
 
@@ -219,7 +218,7 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick, many):
 def kernels_of_a_step(pick, monkeypatch):
     """Kernels of the steps of both methods, and of a rebuild, as a GPU has them."""
     found = {}
-    for rows in (0, conjugate_gradient.SMALL):
+    for rows in (0, 10**9):
         with monkeypatch.context() as patch:
             patch.setattr(conjugate_gradient, "SMALL", rows)
             found |= kernels_of_solves(pick)

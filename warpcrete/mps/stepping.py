@@ -112,60 +112,54 @@ class _Run:
 
     def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint
-        self.stream = wp.Stream(simulation.device)
         self.outcome: Run | BaseException | None = None
+        self._stream = wp.Stream(simulation.device)
         self._goal = 0
         self._coroutine: Coroutine | None = None
 
     @property
-    def flow(self) -> Stepping:
+    def _flow(self) -> Stepping:
         return self.simulation.stepper
 
     def begin(self) -> None:
-        """Up to the first steps. Raises :class:`CapacityError` if the device has no room for it now."""
-        with self._aside():
-            simulation = self.simulation
-            if self.checkpoint is not None:
-                simulation.resume(self.checkpoint)
-            elif not simulation.prepared:
-                simulation.prepare()
-            self._coroutine = simulation.running()
-            self._on(None)
+        """Up to where it wants to take steps. Raises :class:`CapacityError` if the device has no room for it now."""
+        simulation = self.simulation
+        if self.checkpoint is not None:
+            simulation.resume(self.checkpoint)
+        elif not simulation.prepared:
+            simulation.prepare()
+        self._coroutine = simulation.running()
+        self._go_on(None)
 
-    def go(self) -> None:
-        """What it did set out for is done: see, and set out again, or end."""
-        with self._aside():
-            error: BaseException | None = None
-            try:
-                self.flow.settle()
-                if self.flow.steps < self._goal:
-                    self.flow.launch(self._goal)
-                    return
-            except (Exception, KeyboardInterrupt) as failure:
-                error = failure
-            self._on(error)
+    def set_out(self) -> None:
+        """Towards the goal; the device takes the steps while Python goes on."""
+        with wp.ScopedStream(self._stream):
+            self._flow.launch(self._goal)
 
-    def _on(self, error: BaseException | None) -> None:
-        """To the next time that the run wants to be at."""
+    def look(self) -> None:
+        """What it did set out for is done: see what came of it; a next goal, or the outcome."""
+        try:
+            self._flow.settle()
+        except (Exception, KeyboardInterrupt) as failure:
+            self._go_on(failure)
+        else:
+            if self._flow.steps >= self._goal:
+                self._go_on(None)
+
+    def _go_on(self, error: BaseException | None) -> None:
+        """To the next time that the run wants to be at, or its end; an `error` is raised inside it."""
         assert self._coroutine is not None
         try:
             while True:
                 wanted = next(self._coroutine) if error is None else self._coroutine.throw(error)
                 error = None
-                try:
-                    self._goal = self.flow.goal(wanted.time)
-                    if self.flow.steps < self._goal:
-                        self.flow.launch(self._goal)
-                        return
-                except (Exception, KeyboardInterrupt) as failure:
-                    error = failure
+                self._goal = self._flow.goal(wanted.time)
+                if self._flow.steps < self._goal:
+                    return
         except StopIteration as end:
             self.outcome = end.value
         except (Exception, KeyboardInterrupt) as failure:
             self.outcome = failure
-
-    def _aside(self) -> Any:
-        return wp.ScopedStream(self.stream, sync_enter=False)
 
 
 def run_abreast(
@@ -173,12 +167,14 @@ def run_abreast(
 ) -> list[Run | BaseException]:
     """Run flows of one device: on a GPU side by side, as many as it has room for, each on a stream; on a CPU in turn.
 
-    Each does what it does alone, to the bit; what fails harms no other.
+    All set out together and are looked at together, as to read an array waits for the whole device. Each does what it
+    does alone, to the bit; what fails harms no other. After an interruption (Ctrl-C) unfinished runs are returned as
+    such, and `KeyboardInterrupt` for those that had not begun.
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)
-    left = [_Run(*pair) for pair in zip(simulations, checkpoints)]
-    everyone, under_way = list(left), []
+    everyone = [_Run(*pair) for pair in zip(simulations, checkpoints)]
+    left, under_way = list(everyone), []
     while left or under_way:
         while left and len(under_way) < ABREAST:
             run = left[0]
@@ -192,20 +188,16 @@ def run_abreast(
                 run.outcome = full
             except (Exception, KeyboardInterrupt) as failure:
                 run.outcome = failure
-            left.pop(0)
+            under_way.append(left.pop(0))
+        for run in under_way:
             if run.outcome is None:
-                under_way.append(run)
-            else:
-                _end(run, everyone, progress)
+                run.set_out()
+        wp.synchronize_device(simulations[0].device)
         for run in list(under_way):
-            wp.synchronize_stream(run.stream)
-            run.go()
+            if run.outcome is None:
+                run.look()
             if run.outcome is not None:
                 under_way.remove(run)
-                _end(run, everyone, progress)
+                run.simulation.release()
+                progress("running", sum(each.outcome is not None for each in everyone) / len(everyone))
     return [run.outcome for run in everyone if run.outcome is not None]
-
-
-def _end(run: _Run, everyone: list[_Run], progress: Progress) -> None:
-    run.simulation.release()
-    progress("running", sum(each.outcome is not None for each in everyone) / len(everyone))

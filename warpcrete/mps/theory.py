@@ -13,6 +13,7 @@ The slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). Bulk concrete fills the r
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -126,6 +127,7 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
     return Steady(form, np.pi * line.radius**2 * (slip + bulk), pressure, stress, slip, plug)
 
 
+@functools.lru_cache(maxsize=1024)
 def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> Steady:
     """The state at a flow of `flow` [m3/s]; its pressure is what a pump must give.
 
