@@ -102,7 +102,7 @@ class GridStudies(Studies):
         jobs = [
             {"concrete": "own", "density": 2300.0, "viscosity": mu, "yield_stress": tau, "spacing": h,
              "time_step": 1e-3 if h < 7e-3 else 2e-3}
-            for mu, tau in concretes for h in (12.5e-3, 9.375e-3, 7.5e-3, 5e-3)
+            for mu, tau in concretes for h in (12.5e-3, 9.375e-3, 7.5e-3, *((5e-3,) if tau == 0 else ()))
         ]  # fmt: skip
         rows = []
         for job, r in zip(jobs, self.run_tests("funnel", jobs)):
