@@ -9,7 +9,7 @@ from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading, precisions, scaled
-from warpcrete.core.parameters import Above, scene_function
+from warpcrete.core.parameters import Above, OneOf, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
@@ -17,7 +17,7 @@ from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 VOLUME = 0.04
 """Part of the volume that the surface may gain or lose; measured up to 0.023."""
 REMARKS = (
-    "concrete sticks to the walls; a quarter is computed, between the planes of symmetry",
+    "a quarter is computed, between the planes of symmetry",
     "what leaves the outlet is gone: its weight does not pull",
 )
 
@@ -31,6 +31,8 @@ class FunnelParameters(FreeConcrete):
     breadth: Annotated[float, "distance of the parallel sides [m]", Above()] = 0.075
     cone_height: Annotated[float, "of the part that tapers [m]", Above()] = 0.45
     outlet_height: Annotated[float, "of the straight part below [m]", Above()] = 0.15
+    surfaces: Annotated[str, "of all sides: concrete sticks, or slips by its slip layer",
+                        OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "of the cells [m]", Above()] = 7.5e-3
 
 
@@ -55,7 +57,9 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     return FreeScene(
         name="funnel",
         test="funnel",
-        concrete=given.mixed(False),
+        concrete=given.mixed(given.surfaces == "slips"),
+        plate_slips=given.surfaces == "slips",
+        walls_slip=given.surfaces == "slips",
         axial=False,
         width=width,
         depth=given.breadth / 2,

@@ -43,7 +43,7 @@ class BoxParameters(FreeConcrete):
     bars: Annotated[int, "behind the gate: none, 2 or 3", OneOf((0, 2, 3))] = 0
     bar_diameter: Annotated[float, "[m]", Above()] = 0.012
     lift_time: Annotated[float, "in which the gate is lifted [s]; 0: it is gone at once", Within(0)] = 0.5
-    surfaces: Annotated[str, "of floor and sides: sticks, or slips by the concrete's slip layer",
+    surfaces: Annotated[str, "of floor, sides, column and bars: concrete sticks, or slips by the concrete's slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
     spacing: Annotated[float, "of the cells [m]; bars need at least three for two of their diameters", Above()] = 0.0125
 
@@ -96,6 +96,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
         gate=shut if given.lift_time else (),
         lift_speed=opening / given.lift_time if given.lift_time else 0.0,
         plate_slips=given.surfaces == "slips",
+        walls_slip=given.surfaces == "slips",
         dimensions={"column_width": gate, "width": given.width},
         remarks=("half of the box is computed, between its middle plane and a side",),
         parameters=asdict(given),

@@ -21,7 +21,7 @@ from warpcrete.dem.probes import contact_sums
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
-from warpcrete.kernels.mps import conjugate_gradient
+from warpcrete.kernels.mps import block_solver
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.state import FluidState
 
@@ -166,7 +166,7 @@ FLOWS = {
 @pytest.fixture(params=["one block", "many blocks"])
 def many(request, monkeypatch):
     """Whether solves on a GPU take many blocks, as large ones do."""
-    monkeypatch.setattr(conjugate_gradient, "SMALL", 0 if request.param == "many blocks" else 10**9)
+    monkeypatch.setattr(block_solver, "SMALL", 0 if request.param == "many blocks" else 10**9)
     return request.param == "many blocks"
 
 
@@ -220,7 +220,7 @@ def kernels_of_a_step(pick, monkeypatch):
     found = {}
     for rows in (0, 10**9):
         with monkeypatch.context() as patch:
-            patch.setattr(conjugate_gradient, "SMALL", rows)
+            patch.setattr(block_solver, "SMALL", rows)
             found |= kernels_of_solves(pick)
     return found
 

@@ -19,10 +19,8 @@ from typing import Any
 from ..core.launching import Loop, Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
+from ..kernels.mps.block_solver import WIDE, block_solver, in_one_block
 from ..kernels.mps.conjugate_gradient import (
-    WIDE,
-    block_solver,
-    in_one_block,
     parallel_iteration,
     parallel_start,
     serial_solver,

@@ -118,6 +118,59 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
 
 
 @functools.cache
+def rubbing_function(scalar, of: Kind):
+    """What a wall between a face and its next does to it: force, its growth with the face's velocity, coefficient of
+    the next.
+    """
+    dims = of.dimensions
+    Cells = cells_struct(scalar, dims)
+    Mesh = grid_structs(scalar, dims).Mesh
+    whole = mps_types(scalar, dims).whole
+    f = grid_functions(scalar, of)
+
+    @wp.func
+    def rubbed(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, b: wp.int32, side: wp.int32):
+        force = scalar(0.0)
+        growth = scalar(0.0)
+        coefficient = scalar(0.0)
+        lower = f.moved(c, b, side - 1)
+        around = b == wp.static(dims - 1 if of.periodic else -1)
+        if around or (lower[b] >= -1 and lower[b] < g.n[b]):
+            k = (axis * dims + b) * g.slots + f.at(g, lower)
+            grip = mesh.grip[k]
+            if grip > scalar(0.0):
+                share = wp.where(side == 0, mesh.lean[k], scalar(1.0) - mesh.lean[k])
+                force = share * mesh.pull[k]
+                growth = share * share * grip
+                coefficient = -share * (scalar(1.0) - share) * grip
+        return force, growth, coefficient
+
+    return rubbed
+
+
+@functools.cache
+def entering_function(scalar, serial: bool, of: Kind):
+    """One more neighbour in a row of the matrix, if it is unknown; entries that there are then."""
+    Mesh = grid_structs(scalar, of.dimensions).Mesh
+    Matrix = array_structs(scalar, 2).Matrix
+    f = grid_functions(scalar, of)
+    entry = row_place(serial)
+
+    @wp.func
+    def put(
+        mesh: Mesh, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
+    ) -> wp.int32:
+        if not f.unknown(mesh.kind[near]):
+            return count
+        place = entry(r, count, rows, matrix.near_capacity)
+        matrix.near[place] = near
+        matrix.coefficient[place] = c
+        return count + 1
+
+    return put
+
+
+@functools.cache
 def momentum_kernel(scalar, serial: bool, of: Kind):
     """Forces on the faces at the known velocities, and rows of the matrix of their implicit change."""
     dims = of.dimensions
@@ -127,19 +180,8 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
     f = grid_functions(scalar, of)
-    entry = row_place(serial)
-
-    @wp.func
-    def put(
-        mesh: Mesh, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
-    ) -> wp.int32:
-        """One more neighbour in a row, if it is unknown; entries that there are then."""
-        if not f.unknown(mesh.kind[near]):
-            return count
-        place = entry(r, count, rows, matrix.near_capacity)
-        matrix.near[place] = near
-        matrix.coefficient[place] = c
-        return count + 1
+    put = entering_function(scalar, serial, of)
+    rubbed = rubbing_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
@@ -182,17 +224,10 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                         next = f.at(g, f.moved(c, b, 2 * side - 1)) + axis * g.slots
                         other = scalar(0.0)
                         if wp.static(of.cut):
-                            # What a wall rubs on between this face and the next.
-                            lower = f.moved(c, b, side - 1)
-                            around = b == wp.static(dims - 1 if of.periodic else -1)
-                            if around or (lower[b] >= -1 and lower[b] < g.n[b]):
-                                k = (axis * dims + b) * g.slots + f.at(g, lower)
-                                grip = mesh.grip[k]
-                                if grip > scalar(0.0):
-                                    share = wp.where(side == 0, mesh.lean[k], scalar(1.0) - mesh.lean[k])
-                                    force -= share * mesh.pull[k]
-                                    diagonal += share * share * grip
-                                    other = -share * (scalar(1.0) - share) * grip
+                            slowed, grows, coupled = rubbed(g, mesh, c, axis, b, side)
+                            force -= slowed
+                            diagonal += grows
+                            other = coupled
                         if b == axis:
                             # Stretch of the cell on this side.
                             along = g.width[axis]

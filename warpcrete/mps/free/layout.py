@@ -70,7 +70,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
         return (outline(points) < 0) & (nearest(points)[0] > 0)
 
     places, mass = fill_cells(room, abreast, concrete)
-    slip = (scene.concrete.slip_viscosity, scene.concrete.slip_yield) if scene.plate_slips else (STICKS, 0.0)
+    layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (STICKS, 0.0)
     if len(places) == 0:
         refuse("outline", scene.outline, "holds no concrete: walls fill it", "move it, or the walls")
     size = float(np.ptp(scene.extent, axis=0).min())
@@ -81,7 +81,8 @@ def free_layout(scene: FreeScene) -> GridLayout:
         fluid=places,
         mass=mass * places[:, 0] / places[:, 0].mean() if scene.axial else mass,
         mark_spacing=width[0] / abreast,
-        slip=slip,
+        slip=layer if scene.plate_slips else none,
+        rough=layer if scene.walls_slip else none,
         speed=0.1 * float(np.sqrt(scene.gravity * size)),
         length=size,
         geometry=geometry,

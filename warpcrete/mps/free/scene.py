@@ -89,9 +89,9 @@ class FreeScene(FreeSettings):
     lift_speed: float = 0.0
     """[m/s]"""
     plate_slips: bool = False
-    """On sides of the room the concrete's slip layer acts; else it sticks, as it does to blocks and walls: where walls
-    pass through cells aslant, slip is not yet accurate.
-    """
+    """On sides of the room the concrete's slip layer acts; else it sticks."""
+    walls_slip: bool = False
+    """The same of blocks and walls."""
     dimensions: Mapping[str, float] = field(default_factory=dict)
     """Of a test's vessel that its quantities go by [m]."""
     published: Mapping[str, float] = field(default_factory=dict)

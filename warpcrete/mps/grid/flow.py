@@ -17,11 +17,9 @@ import warp as wp
 from ...core.device import parallel
 from ...core.launching import Launcher, Loop, Stage, Step, members, parameter_names
 from ...kernels.common.reductions import BLOCK
+from ...kernels.mps.block_solver import WIDE, block_solver, in_one_block
 from ...kernels.mps.conjugate_gradient import (
     OUTCOME,
-    WIDE,
-    block_solver,
-    in_one_block,
     parallel_iteration,
     parallel_start,
     serial_solver,

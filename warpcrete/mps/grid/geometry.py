@@ -17,6 +17,8 @@ NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
 open, of what concrete sticks to; more for walls that move."""
 WALL, MIRROR, BARE = "wall", "mirror", "open"
 """What a side of the room is."""
+STICKS = 1e8
+"""Viscosity of a slip layer that hardly slips [Pa s/m]."""
 LEAST = 0.01
 """Part of a cell or face that counts as open."""
 ALIGNED, OFF = 0.999, 0.01

@@ -10,7 +10,7 @@ import numpy as np
 from ...kernels.mps.grid.cells import Kind
 from ..scene import FluidScene
 from ..theory import steady
-from .geometry import BARE, MIRROR, PLATE, SMOOTH, WALL, Geometry, Room
+from .geometry import BARE, MIRROR, PLATE, SMOOTH, STICKS, WALL, Geometry, Room
 
 ABREAST = 2
 """Particles of a cell across it, and as many along it, in a pipe."""
@@ -50,6 +50,8 @@ class GridLayout:
     """When each cell takes what is in `opened` [s], shape as `solid`; empty where nothing opens."""
     full: bool = False
     """To the brim, and for ever: there is no surface, though it is not periodic."""
+    rough: tuple[float, float] = (STICKS, 0.0)
+    """The same of walls of the number ROUGH, which concrete sticks to unless told otherwise."""
     weightless: bool = False
     """Weight is left out: where there is no surface, all that it does is to press."""
     motions: tuple[Motion, ...] = ()

@@ -12,7 +12,7 @@ from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import BIN, DRIVE, FORCE, INSIDE, cells_struct, grid_structs
-from .geometry import NONE, ROUGH, Geometry
+from .geometry import NONE, ROUGH, STICKS, Geometry
 from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
@@ -21,8 +21,6 @@ MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress"
 FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
 """Arrays that have a row for each face; those of EDGES one for each edge, `bin` BIN a cell, the rest one."""
 EDGES = ("in_corner", "besides")
-STICKS = 1e8
-"""Viscosity of a slip layer that hardly slips [Pa s/m]."""
 SLOT_BYTES = {2: 4 * (int(BIN) + 220), 3: 4 * (int(BIN) + 480)}
 """Of a cell with its faces, its rows of the systems and its particles, in single precision, by the number of axes."""
 
@@ -84,9 +82,9 @@ class GridState:
             spin=np.array([np.zeros(3)] * (ROUGH + 1) + [m.spin for m in moving]),
             pivot=np.array([none] * (ROUGH + 1) + [none if m.pivot is None else m.pivot for m in moving]),
             slip_viscosity=np.array(
-                [-1.0, viscosity, -1.0, -1.0, STICKS] + [-1.0 if m.smooth else STICKS for m in moving]
+                [-1.0, viscosity, -1.0, -1.0, layout.rough[0]] + [-1.0 if m.smooth else STICKS for m in moving]
             ),
-            slip_yield=np.array([0.0, yield_stress, 0.0, 0.0] + [0.0] * (1 + len(moving))),
+            slip_yield=np.array([0.0, yield_stress, 0.0, 0.0, layout.rough[1]] + [0.0] * len(moving)),
         )
 
     def _rows(self, name: str) -> int:

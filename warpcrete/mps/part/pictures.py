@@ -29,7 +29,8 @@ def plot_part(run: Run) -> Any:
     along.set(xlabel="along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
     along.legend(frameon=False, fontsize=8)
     course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:])
-    course.set(xlabel="time [s]", ylabel="pressure at the start [kPa]", ylim=(0, None))
+    course.set(xlabel="time [s]", ylabel="pressure at the start [kPa]")
+    course.set_ylim(0, 1.1e-3 * float(np.max(run.series["pressure"])))
     for axes in (along, course):
         axes.spines[["top", "right"]].set_visible(False)
     return figure
