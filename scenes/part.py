@@ -59,12 +59,16 @@ def scene(parameters: PartParameters) -> PartScene:
     if given.outlet_diameter is not None:
         if given.wall is not None:
             refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
-        taper = (given.straight, given.straight + given.taper, given.outlet_diameter / 2)
+        taper = (given.straight, given.straight + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
+    narrow = min(given.diameter, given.outlet_diameter or given.diameter) / 2
+    Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
     wall = None
     if given.wall is not None:
+        if given.slip_thickness > 0:
+            refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
         mesh = load(given.wall, "wall", given.wall_scale)
         wall = MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces)
-    radius = given.diameter / 2
+    radius = given.diameter / 2 - given.slip_thickness
     return PartScene(
         name="part",
         concrete=concrete,

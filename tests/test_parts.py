@@ -96,6 +96,12 @@ def test_a_reducer_from_a_mesh_is_one_by_formula(device, tmp_path):
     assert 1.0 < known["middle_ratio"] < 1.15
 
 
+def test_a_slip_layer_of_some_thickness_makes_the_concrete_thinner():
+    scene = scenes.part(slip_thickness=2e-3, **SHORT)
+    assert scene.radius == pytest.approx(0.048) and scene.concrete.slip_viscosity == 889
+    assert scene.flow == pytest.approx(1.5e-3)
+
+
 def test_what_leaves_comes_in_again(device):
     """No particle is lost, and none stays behind: after some time most have been through."""
     simulation = PartSimulation(
@@ -144,6 +150,10 @@ def test_frames_turn_places_and_turn_them_back():
         ({"angle": 170.0}, "angle = 170"),
         ({"flow": 0.0}, "flow = 0.0"),
         ({"unit": "sideways"}, "unit = 'sideways'"),
+        ({"straight": 0.05}, "straight = 0.05: is too short for a straight stretch to be measured"),
+        ({"unit": "horizontal", "straight": 0.05}, "straight = 0.05: is too short for a straight stretch, half of it,"),
+        ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
+        ({"flow": float("nan")}, "flow = nan"),
         ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': is no file"),
         ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "is the mesh's own"),
     ],

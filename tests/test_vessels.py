@@ -313,6 +313,19 @@ def test_a_funnel_empties(device):
     assert all(good for good, _ in modules()["funnel"].check(run).values())
 
 
+def test_a_funnel_whose_sides_slip_empties_sooner(device):
+    """By the layer on slanted sides and on the one across: little clings to what is all but smooth."""
+    small = {"spacing": 0.015, "cone_height": 0.2, "outlet_height": 0.1, "top_width": 0.3, "outlet_width": 0.09,
+             "breadth": 0.12, "time_step": 4e-3}  # fmt: skip
+    stiff = OWN | {"viscosity": 40.0, "yield_stress": 0.0, "slip_viscosity": 50.0, "slip_yield": 0.0}
+    sticks, slips = (
+        FreeSimulation(scenes.funnel(**stiff, **small, surfaces=surfaces), device=device).run().result
+        for surfaces in ("sticks", "slips")
+    )
+    assert number(slips["funnel_time"]) < 0.7 * number(sticks["funnel_time"])
+    assert slips["remaining"] < 0.7 * sticks["remaining"]
+
+
 def test_a_yield_stress_that_bears_the_weight_holds_a_funnel(device):
     scene = scenes.funnel(**OWN | {"yield_stress": 2000.0}, spacing=0.015, duration=3.0, time_step=4e-3)
     run = FreeSimulation(scene, device=device).run()

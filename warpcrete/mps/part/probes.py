@@ -7,7 +7,7 @@ import numpy as np
 from ...kernels.mps.grid.cells import LIQUID
 from ..grid.flow import GridFlow
 from .layout import stations
-from .scene import PartScene
+from .scene import CLEAR, PartScene
 
 UNITS = {
     "time": "s",
@@ -21,8 +21,6 @@ UNITS = {
     "pressure_iterations": "1",
 }
 """Of the columns of a row."""
-CLEAR = 1.0
-"""Length of pipe beside an end or the middle of a part that straight lines leave out, over the radius there."""
 
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:

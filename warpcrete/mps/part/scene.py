@@ -19,6 +19,10 @@ from ..theory import Line as Stretch
 
 FEWEST = 6
 """Cells across the narrowest bore."""
+CLEAR, LEFT = 1.0, 4
+"""Length of pipe beside an end or the middle of a part that the measured lines leave out, over the radius there, and
+cells that must be left.
+"""
 AROUND, ALONG = 24, 60
 """Directions and places in which a mesh's bore is measured."""
 
@@ -90,6 +94,13 @@ class PartScene(PartSettings):
         if self.spacing > least / FEWEST:
             refuse("spacing", self.spacing, f"must leave {FEWEST} cells across the narrowest bore, {least:.4g} m",
                    f"take {least / FEWEST:.3g} m or less")  # fmt: skip
+        begin, end = self.middle
+        for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
+            wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
+            if length < wanted:
+                share = "" if end > begin else ", half of it,"
+                refuse("straight", length, f"is too short for a straight stretch{share} to be measured in [m]",
+                       f"take {wanted:.3g} m or more")  # fmt: skip
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"lets concrete of {fastest:.3g} m/s pass more than a cell",
