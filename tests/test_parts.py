@@ -2,20 +2,22 @@
 
 import dataclasses
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import trimesh
 
 from warpcrete import scenes
-from warpcrete.core.errors import SceneError
+from warpcrete.core.device import share_out_like_a_gpu
+from warpcrete.core.errors import CapacityError, SceneError
+from warpcrete.core.parameters import Needs, declared_fields
+from warpcrete.core.run_loop import Simulation
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
-from warpcrete.mps.part.scene import PartScene
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.mps.stepping import run_abreast
-from warpcrete.mps.theory import Concrete
 from warpcrete.scenes import modules
 
 SHORT = {"straight": 0.2, "spacing": 0.0125}
@@ -182,50 +184,117 @@ def test_an_axis_that_begins_with_a_bend_is_refused():
 
 
 def test_a_cut_run_goes_on_with_the_same_bits(device, tmp_path):
-    scene = scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 0.06, "steadiness": 1e-12})
+    scene = scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 0.08, "steadiness": 1e-12})
     whole = PartSimulation(scene, device=device).run()
-    first = PartSimulation(scene, device=device)
-    first.prepare()
-    first.flow.advance(0.02)
     path = tmp_path / "part.checkpoint"
-    first.measured()
-    first.save(path)
+
+    def stop(phase, fraction, figures):
+        first.stop_requested = phase == "running" and fraction > 0.4
+
+    first = PartSimulation(scene, device=device, progress=stop, checkpoint_path=path, checkpoint_every=0)
+    assert not first.run().finished and first.flow.steps == 8
     second = PartSimulation(scene, device=device)
     second.resume(path)
-    second.flow.advance(0.06)
-    assert np.array_equal(second.flow.particles.position.numpy(), _at_end(scene, device))
-    assert whole.result["state_hash"] == second.result(True).result["state_hash"]
+    run = second.run()
+    assert run.finished and run.result["state_hash"] == whole.result["state_hash"]
+    for name, column in whole.series.items():
+        assert np.array_equal(run.series[name], column), name
 
 
-def _at_end(scene: PartScene, device) -> np.ndarray:
-    simulation = PartSimulation(scene, device=device)
-    simulation.prepare()
-    simulation.flow.advance(0.06)
-    return simulation.flow.particles.position.numpy()
+def test_a_mesh_with_lids_is_as_open_as_one_without(tmp_path):
+    """The fluid's volume as CAD programs have it: lids where concrete comes in and goes out."""
+    tube, lids = tmp_path / "tube.stl", tmp_path / "lids.stl"
+    cylinder = trimesh.creation.cylinder(0.05, segment=((0, 0, 0), (0.4, 0, 0)), sections=64)
+    cylinder.export(lids)
+    flat = np.abs(cylinder.face_normals[:, 0]) > 0.9
+    trimesh.Trimesh(cylinder.vertices, cylinder.faces[~flat]).export(tube)
+    given = OWN | SHORT | {"unit": "horizontal"}
+    one, other = (part_layout(scenes.part(**given, wall=str(path))) for path in (tube, lids))
+    assert np.array_equal(one.geometry.part, other.geometry.part) and one.motions == other.motions
 
 
-def test_runs_abreast_do_what_they_do_alone(device):
-    """Of different length and size, one of which fails; on a GPU each goes on a stream of its own."""
-    paste = Concrete(density=2300, viscosity=20, yield_stress=10, slip_viscosity=900, slip_yield=20)
-    wanted = [
-        scenes.part(unit="horizontal", **OWN | SHORT | {"flow": flow, "duration": 0.1}) for flow in (1e-3, 1.5e-3, 2e-3)
-    ] + [
-        scenes.channel(ends="periodic", concrete="no1", duration=0.02),
-        scenes.channel(concrete="no2", spacing=0.01, length=0.1, duration=0.02),
-        scenes.part(unit="horizontal", **OWN | SHORT | {"maximum_iterations": 2}),
-        dataclasses.replace(scenes.part(unit="horizontal", **OWN | SHORT | {"duration": 0.05}), concrete=paste),
+def test_the_flow_through_a_mesh_is_what_is_asked(tmp_path):
+    """Whatever its bore: a step from 47 to 40 mm is found where it is."""
+    angle = 2 * np.pi * np.arange(96) / 96
+    ring = np.stack([np.cos(angle), np.sin(angle)], 1)
+    places = [(-0.05, 0.047), (0.2, 0.047), (0.2, 0.04), (0.65, 0.04)]
+    vertices = np.concatenate([np.column_stack([np.full(96, x), r * ring]) for x, r in places])
+    faces = []
+    for k in range(3):
+        for n in range(96):
+            a, b = k * 96 + n, k * 96 + (n + 1) % 96
+            faces += [(a, b, a + 96), (b, b + 96, a + 96)]
+    path = tmp_path / "step.stl"
+    trimesh.Trimesh(vertices, faces).export(path)
+    scene = scenes.part(**OWN | SHORT | {"unit": "horizontal", "straight": 0.3, "wall": str(path)})
+    assert scene.flow == 1.5e-3 and scene.is_round
+    assert scene.velocity == pytest.approx(1.5e-3 / (np.pi * 0.047**2), rel=5e-3)
+    assert scene.middle == pytest.approx((0.2, 0.2), abs=0.015) and scene.middle[0] < scene.middle[1]
+
+
+def test_what_means_nothing_is_told():
+    names = {name for name, _ in _useless({"taper": 0.5, "wall_scale": 1e-3})}
+    assert names == {"taper", "wall_scale"}
+
+
+def _useless(given):
+    parameters = modules()["part"].PartParameters(**given)
+    return [
+        (field.name, rule.words)
+        for field in declared_fields(type(parameters)).values()
+        for rule in field.rules
+        if isinstance(rule, Needs) and field.name in given and not rule.test(getattr(parameters, rule.field))
     ]
-    from warpcrete.core.run_loop import Simulation
 
+
+class _Full(PartSimulation):
+    """Finds no room while another run has it."""
+
+    begun = 0
+
+    def prepare(self):
+        _Full.begun += 1
+        if _Full.begun == 2:
+            raise CapacityError("no room")
+        super().prepare()
+
+
+class _Breaks(PartSimulation):
+    def prepare(self):
+        super().prepare()
+        self.flow.launch = self._broken
+
+    def _broken(self, goal):
+        raise RuntimeError("a graph that cannot be captured")
+
+
+@pytest.fixture(params=["as it is", "like a GPU"])
+def side_by_side(request, device):
+    """A device on which flows go side by side, if only as a CPU can pretend to."""
+    with share_out_like_a_gpu() if request.param == "like a GPU" else nullcontext():
+        yield device
+
+
+SMALL = OWN | SHORT | {"unit": "horizontal", "spacing": 0.0165}
+
+
+def test_runs_abreast_do_what_they_do_alone(side_by_side):
+    """Of different length and size, one of which fails; on a GPU each goes on a stream of its own."""
+    wanted = [scenes.part(**SMALL | {"flow": flow, "duration": 0.04}) for flow in (1e-3, 2e-3)] + [
+        scenes.channel(ends="periodic", concrete="no1", spacing=0.01, length=0.1, duration=0.01),
+        scenes.channel(concrete="no2", spacing=0.01, length=0.1, duration=0.01),
+        scenes.part(**SMALL | {"maximum_iterations": 2}),
+        scenes.part(**SMALL | {"duration": 0.02, "yield_stress": 30.0}),
+    ]
     alone = []
     for scene in wanted:
         try:
-            alone.append(Simulation(scene, device=device).run())
+            alone.append(Simulation(scene, device=side_by_side).run())
         except Exception as error:
             alone.append(error)
     done = []
     together = run_abreast(
-        [Simulation(scene, device=device) for scene in wanted], [None] * len(wanted),
+        [Simulation(scene, device=side_by_side) for scene in wanted], [None] * len(wanted),
         lambda phase, fraction: done.append(fraction),
     )  # fmt: skip
     assert done == pytest.approx(np.arange(1, len(wanted) + 1) / len(wanted))
@@ -235,3 +304,35 @@ def test_runs_abreast_do_what_they_do_alone(device):
         else:
             assert other.result["state_hash"] == one.result["state_hash"] and other.finished
     assert sum(isinstance(outcome, Exception) for outcome in together) == 1
+
+
+def test_what_befalls_one_run_abreast_harms_no_other(device):
+    """No room for a while, a graph that fails, a wish to stop, an interruption amid it all."""
+    scene = scenes.part(**SMALL | {"duration": 0.04})
+    _Full.begun = 0
+    with share_out_like_a_gpu():
+        whole = PartSimulation(scene, device=device).run().result["state_hash"]
+        runs = [kind(scene, device=device) for kind in (_Full, _Full, _Breaks, PartSimulation)]
+        outcomes = run_abreast(runs, [None] * 4, lambda phase, fraction: None)
+        assert [getattr(o, "finished", None) for o in outcomes] == [True, True, None, True]
+        assert str(outcomes[2]) == "a graph that cannot be captured"
+        assert all(outcomes[n].result["state_hash"] == whole for n in (0, 1, 3))
+
+        def interrupt(phase, fraction, figures):
+            if phase == "running" and fraction > 0.3:
+                raise KeyboardInterrupt
+
+        runs = [PartSimulation(scene, device=device, progress=tell) for tell in (False, interrupt)]
+        outcomes = run_abreast([*runs], [None] * 2, lambda phase, fraction: None)
+        assert outcomes[0].finished and not outcomes[1].finished and outcomes[1].interrupted
+        asked = PartSimulation(scene, device=device)
+        asked.stop_requested = True
+        outcomes = run_abreast([asked, PartSimulation(scene, device=device)], [None] * 2, lambda phase, fraction: None)
+        assert isinstance(outcomes[0], KeyboardInterrupt) and outcomes[1].finished
+        broken = [PartSimulation(scene, device=device) for _ in range(2)]
+
+        def once(phase, fraction):
+            raise KeyboardInterrupt
+
+        outcomes = run_abreast([broken[0], broken[1]], [None] * 2, once)
+        assert len(outcomes) == 2 and outcomes[0].finished

@@ -143,6 +143,32 @@ def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device, yields):
     assert pull == pytest.approx((layer * 0.3 + yields) * along * length, rel=0.006)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("off", [-0.49, -0.03, -1e-9, 0.0, 1e-9, 0.001, 0.03, 0.3, 0.49])
+def test_a_flat_wall_anywhere_in_its_cells_rubs_on_all_of_it(axis, off):
+    """Also where next to nothing of a cell is open beyond the middles of its faces."""
+    n, h, layer = 6, 0.01, 10.0
+    room = Room((n,) * 3, (h,) * 3, (0.0,) * 3, ((BARE, BARE),) * 3)
+    place = (2.5 + off) * h
+    walls = [(lambda x: x[:, axis] - place, PLATE)]
+    geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
+    places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
+    paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=0.0)
+    scene = SimpleNamespace(
+        concrete=paste, gravity=0.0, time_step=1e-3, regularisation=1e4, tolerance=1e-3, maximum_iterations=100
+    )
+    layout = GridLayout(
+        kind=Kind(3, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 2,
+        slip=(layer, 0.0), speed=1.0, length=0.1, geometry=geometry, full=True,
+    )  # fmt: skip
+    flow = GridFlow(GridState(scene, layout, find_device("cpu"), "float64"))
+    stages_through(flow, "wall_stress")
+    grip = flow.mesh.grip.numpy().reshape(3, 3, -1).sum((1, 2))
+    for along in range(3):
+        if along != axis:
+            assert grip[along] == pytest.approx(layer * (n * h) ** 2, rel=1e-6)
+
+
 def test_what_flows_into_a_cut_cell_flows_out(device):
     """Through the open parts of its faces, after one step from any velocities."""
     flow = between_cylinders(device, "float64", 22)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +115,7 @@ class _Run:
     def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint
         self.outcome: Run | BaseException | None = None
-        self._stream = wp.Stream(simulation.device)
+        self._stream = wp.Stream(simulation.device) if simulation.device.is_cuda else None
         self._goal = 0
         self._coroutine: Coroutine | None = None
 
@@ -133,8 +135,11 @@ class _Run:
 
     def set_out(self) -> None:
         """Towards the goal; the device takes the steps while Python goes on."""
-        with wp.ScopedStream(self._stream):
-            self._flow.launch(self._goal)
+        try:
+            with wp.ScopedStream(self._stream) if self._stream else nullcontext():
+                self._flow.launch(self._goal)
+        except Exception as failure:
+            self._go_on(failure)
 
     def look(self) -> None:
         """What it did set out for is done: see what came of it; a next goal, or the outcome."""
@@ -159,7 +164,16 @@ class _Run:
         except StopIteration as end:
             self.outcome = end.value
         except (Exception, KeyboardInterrupt) as failure:
+            traceback.clear_frames(failure.__traceback__)  # they hold the device's memory
             self.outcome = failure
+
+    def stop(self, why: KeyboardInterrupt) -> None:
+        """End now."""
+        if self.outcome is None:
+            if self._coroutine is None:
+                self.outcome = why
+            else:
+                self._go_on(why)
 
 
 def run_abreast(
@@ -174,30 +188,42 @@ def run_abreast(
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)
     everyone = [_Run(*pair) for pair in zip(simulations, checkpoints)]
-    left, under_way = list(everyone), []
+    try:
+        _together(everyone, simulations[0].device, progress)
+    except KeyboardInterrupt as why:
+        for run in everyone:
+            run.stop(why)
+            run.simulation.release()
+    return [run.outcome for run in everyone if run.outcome is not None]
+
+
+def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
+    left, under_way, full = list(everyone), [], False
     while left or under_way:
-        while left and len(under_way) < ABREAST:
+        while left and len(under_way) < ABREAST and not full:
             run = left[0]
             try:
                 if run.simulation.stop_requested:
                     raise KeyboardInterrupt
                 run.begin()
-            except CapacityError as full:
+            except CapacityError as error:
+                run.simulation.release()
                 if under_way:
-                    break  # until others have ended
-                run.outcome = full
+                    full = True  # until another has ended
+                    break
+                run.outcome = error
             except (Exception, KeyboardInterrupt) as failure:
                 run.outcome = failure
             under_way.append(left.pop(0))
         for run in under_way:
             if run.outcome is None:
                 run.set_out()
-        wp.synchronize_device(simulations[0].device)
+        wp.synchronize_device(device)
         for run in list(under_way):
             if run.outcome is None:
                 run.look()
             if run.outcome is not None:
                 under_way.remove(run)
+                full = False
                 run.simulation.release()
                 progress("running", sum(each.outcome is not None for each in everyone) / len(everyone))
-    return [run.outcome for run in everyone if run.outcome is not None]

@@ -180,7 +180,7 @@ def rest(device: str, precision: str) -> list[Row]:
         exact = np.broadcast_to(
             (2000 * 9.81 * (0.2 - place)).reshape(-1, *[1] * (pressure.ndim - 1)), pressure.shape
         )  # fmt: skip
-        # A cell of which little is open has only slivers of faces, which weight does not act on.
+        # Where little of a cell is open its pressure is the rim's.
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
         found += [

@@ -153,21 +153,14 @@ def gather_kernel(scalar, of: Kind):
 def extend_kernel(scalar, of: Kind):
     """Velocities of faces in the air and within walls, from those beside them, for particles there; a task a slot.
 
-    Beside a wall the velocity goes on in a straight line through that at the wall.
+    Beside a pipe's wall the velocity goes on in a straight line through that at the wall; within walls that pass
+    through cells faces that matter have one of their own.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Mesh, Geometry = structs.Mesh, structs.Geometry
     f = grid_functions(scalar, of)
-    whole = mps_types(scalar, dims).whole
-
-    @wp.func
-    def across(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32, r: wp.int32, o: wp.int32) -> scalar:
-        """Velocity at a face within a wall, by that at `o` and at the wall between them."""
-        if wp.static(of.cut):
-            return mesh.velocity[o]
-        return scalar(2.0) * mesh.slip[o] - mesh.velocity[o]
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
@@ -199,11 +192,11 @@ def extend_kernel(scalar, of: Kind):
                                 sum += before[o]
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
+                            beside = mesh.velocity[o]
                             # A face on the frame's far side has no cell before it, and is in no wall.
-                            if mesh.kind[r] == INSIDE and c[axis] >= 0 and (along != axis or wp.static(of.cut)):
-                                sum += across(g, mesh, geometry, c, axis, r, o)
-                            else:
-                                sum += mesh.velocity[o]
+                            if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
+                                beside = scalar(2.0) * mesh.slip[o] - beside
+                            sum += beside
                             count += scalar(1.0)
                 if count > scalar(0.0):
                     value = sum / count
@@ -389,10 +382,11 @@ def advect_kernel(scalar, of: Kind):
             gone = leaves(g, mesh, after)
         if gone and geometry.inlet.shape[0] > 0:
             # Some place or other, so that they spread over it.
-            turn = (p * 7919 + flags[STEPS] * 104729) % geometry.inlet.shape[0]
+            turn = wp.uint32(p) * wp.uint32(7919) + wp.uint32(flags[STEPS]) * wp.uint32(104729)
+            place = wp.int32(turn % wp.uint32(geometry.inlet.shape[0]))
             particles.velocity[p] = g.inflow
             particles.gradient[p] = mat()
-            after = geometry.inlet[wp.abs(turn)]
+            after = geometry.inlet[place]
         elif gone:
             particles.mass[p] = scalar(0.0)
         else:

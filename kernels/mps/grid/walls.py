@@ -98,10 +98,12 @@ def wall_kernel(scalar, of: Kind):
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
-            r = f.at(g, f.moved(f.moved(c, axis, -(n % 2)), other, n / 2)) + other * g.slots
-            if mesh.kind[r] == LIQUID:
-                sum += mesh.velocity[r]
-                count += scalar(1.0)
+            beside = f.moved(f.moved(c, axis, -(n % 2)), other, n / 2)
+            if beside[other] <= g.n[other]:
+                r = f.at(g, beside) + other * g.slots
+                if mesh.kind[r] == LIQUID:
+                    sum += mesh.velocity[r]
+                    count += scalar(1.0)
         return sum / wp.max(count, scalar(1.0))
 
     @wp.func

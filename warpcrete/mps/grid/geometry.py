@@ -19,6 +19,8 @@ WALL, MIRROR, BARE = "wall", "mirror", "open"
 """What a side of the room is."""
 STICKS = 1e8
 """Viscosity of a slip layer that hardly slips [Pa s/m]."""
+LITTLE = 1e-3
+"""Part of the quarter of a cell that is open in some corner, at least."""
 LEAST = 0.01
 """Part of a cell or face that counts as open."""
 ALIGNED, OFF = 0.999, 0.01
@@ -125,7 +127,12 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
         half = np.moveaxis(half, -1, axis)
-    part = _open(_corners(half, range(axes)), axes)
+    ends = _corners(half, range(axes))
+    inner = tuple(range(-axes, 0))
+    low, high = ends.min(inner), ends.max(inner)
+    part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
+    # However little is open: the face behind it is needed, or the wall would have nothing to rub on.
+    part[cut] = np.maximum(_open(ends[cut], axes), LITTLE)
     found = []
     for first, second in PAIRS[:1] if axes == 2 else PAIRS:
         for n in range(4):

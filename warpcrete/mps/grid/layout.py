@@ -51,7 +51,7 @@ class GridLayout:
     full: bool = False
     """To the brim, and for ever: there is no surface, though it is not periodic."""
     rough: tuple[float, float] = (STICKS, 0.0)
-    """The same of walls of the number ROUGH, which concrete sticks to unless told otherwise."""
+    """As `slip`, of walls of the number ROUGH: concrete sticks to them unless told otherwise."""
     weightless: bool = False
     """Weight is left out: where there is no surface, all that it does is to press."""
     motions: tuple[Motion, ...] = ()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InstabilityError
+from ...core.errors import InstabilityError, SceneError
 from ...core.footprint import footprint
 from ...core.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
@@ -66,14 +66,15 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 def _duration(scene: PartScene, device: str, precision: str) -> tuple[float, list[str]]:
     """Simulated time until the flow is steady [s], by a coarser copy, and remarks."""
     narrow = 2 * float(np.min(scene.bore(np.linspace(0, scene.axis.length, 50))))
-    simulation = PartSimulation(
-        replace(scene, spacing=max(scene.spacing, 0.95 * narrow / FEWEST)), device=device, precision=precision
-    )
+    simulation = None
     try:
+        coarser = replace(scene, spacing=max(scene.spacing, 0.95 * narrow / FEWEST))
+        simulation = PartSimulation(coarser, device=device, precision=precision)
         run = simulation.run()
-    except InstabilityError as error:
+    except (InstabilityError, SceneError) as error:
         return scene.duration, [f"a coarser copy of this flow stops: {error}"]
     finally:
-        simulation.release()
+        if simulation is not None:
+            simulation.release()
     reached = float(run.result["simulated_time"]["value"])
     return reached, [] if run.result["steady"] else [f"not steady within {reached:g} s"]

@@ -22,6 +22,8 @@ INLET = ROUGH + 1
 """Number of the plane that concrete enters through."""
 BEHIND = 2
 """Cells of the room around the bore."""
+ACROSS = 0.9
+"""Cosine between a triangle's normal and the axis above which it closes a pipe."""
 ABREAST = 2
 """Particles of a cell along each axis."""
 
@@ -74,7 +76,7 @@ def bore_distance(scene: PartScene) -> Distance:
     frame, axis = Frame(scene), scene.axis
     if scene.wall is not None:
         wall = scene.wall
-        mesh = trimesh.Trimesh(wall.vertices, wall.faces, process=False)
+        mesh = trimesh.Trimesh(wall.vertices, wall.faces[~_caps(scene)], process=False)
 
         def within(x: np.ndarray) -> np.ndarray:
             places = frame.outward(x)
@@ -96,6 +98,19 @@ def bore_distance(scene: PartScene) -> Distance:
         return np.where(tapers, gap / math.sqrt(1 + slope * slope), gap)
 
     return distance
+
+
+def _caps(scene: PartScene) -> np.ndarray:
+    """Which triangles of a mesh close it across the axis, at an end of the part or beyond, shape (f,)."""
+    assert scene.wall is not None
+    corners = scene.wall.vertices[scene.wall.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    middle, axis = corners.mean(1), scene.axis
+    s = axis.along(middle)
+    _, tangent = axis.at(s)
+    across = np.abs(np.sum(normal * tangent, 1)) > ACROSS * np.linalg.norm(normal, axis=1)
+    near = ACROSS * scene.radius
+    return across & ((s < scene.radius - near) | (s > axis.length - scene.radius + near))
 
 
 def inlet_distance(scene: PartScene) -> Distance:

@@ -23,6 +23,8 @@ CLEAR, LEFT = 1.0, 4
 """Length of pipe beside an end or the middle of a part that the measured lines leave out, over the radius there, and
 cells that must be left.
 """
+ROUND = 0.03
+"""By how much a bore's radius may differ around it for theory to call it round."""
 AROUND, ALONG = 24, 60
 """Directions and places in which a mesh's bore is measured."""
 
@@ -57,8 +59,8 @@ class PartScene(PartSettings):
     """Its first and last pieces are straight; at most one arc lies between."""
     radius: float
     """Inner, at the start [m]."""
-    velocity: float
-    """Mean, at the start [m/s]."""
+    flow: float
+    """[m3/s]"""
     spacing: float
     """Wanted width of the cells [m]; the nearest that divides the radius at the start."""
     taper: tuple[float, float, float] | None = None
@@ -72,8 +74,8 @@ class PartScene(PartSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("radius", "velocity", "spacing"):
-            positive(name, getattr(self, name), "m/s" if name == "velocity" else "m")
+        for name in ("radius", "flow", "spacing"):
+            positive(name, getattr(self, name), "m3/s" if name == "flow" else "m")
         pieces = self.axis.pieces
         arcs = [piece for piece in pieces if isinstance(piece, Arc)]
         if isinstance(pieces[0], Arc) or isinstance(pieces[-1], Arc) or len(arcs) > 1:
@@ -123,6 +125,7 @@ class PartScene(PartSettings):
             refuse("wall", self.wall.name, f"has gaps along the axis: {np.count_nonzero(reach < 0)} of {reach.size} "
                    "probes find no wall", "close its holes, or move it so that it lies about the axis")  # fmt: skip
         radii = np.sqrt(np.mean(reach**2, axis=1))
+        object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1) < ROUND)))
         if abs(radii[0] / self.radius - 1) > 0.1:
             refuse("radius", self.radius, f"is not that of the mesh, {radii[0]:.4g} m at the start",
                    "give its radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
@@ -139,9 +142,14 @@ class PartScene(PartSettings):
         return np.asarray(np.interp(s, [begin, end], [self.radius, narrow]))
 
     @property
-    def flow(self) -> float:
-        """[m3/s]"""
-        return np.pi * float(self.bore(0.0)) ** 2 * self.velocity
+    def velocity(self) -> float:
+        """Mean, at the start [m/s]."""
+        return self.flow / (np.pi * float(self.bore(0.0)) ** 2)
+
+    @property
+    def is_round(self) -> bool:
+        """Does a round pipe's theory hold for the straight stretches?"""
+        return getattr(self, "_round", True)
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -157,10 +165,10 @@ class PartScene(PartSettings):
             return self.taper[0], self.taper[1]
         if measured is not None and np.ptp(measured[1]) > 0.03 * self.radius:
             s, radii = measured
-            changes = (np.abs(radii - radii[0]) > 0.01 * self.radius) & (np.abs(radii - radii[-1]) > 0.01 * self.radius)
-            if changes.any():
-                step = s[1] - s[0]
-                return float(s[changes].min() - step), float(s[changes].max() + step)
+            step, off = s[1] - s[0], 0.01 * self.radius
+            begin = s[np.abs(radii - radii[0]) > off].min() - step
+            end = s[np.abs(radii - radii[-1]) > off].max() + step
+            return float(begin), float(end)
         return half, half
 
     @property

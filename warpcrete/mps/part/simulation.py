@@ -59,12 +59,13 @@ class PartSimulation(FlowRun):
                                        "step, or longer straight ends")  # fmt: skip
 
     def ended_early(self) -> bool:
-        """The pressure has been still for twice so many steps."""
+        """What friction takes of the pressure has been still for twice so many steps."""
         scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        now, before, long_before = (rows[-1 - n * apart]["pressure"] for n in range(3))
+        weight = scene.concrete.density * scene.gravity * scene.rise  # which tells nothing of the flow
+        now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
         self.steady = abs(now - before) < least and abs(before - long_before) < least
         return self.steady
