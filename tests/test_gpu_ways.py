@@ -22,6 +22,8 @@ from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.mps import block_solver
+from warpcrete.mps import stages
+from warpcrete.mps.grid import flow as grid_flow
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.state import FluidState
 
@@ -166,8 +168,32 @@ FLOWS = {
 @pytest.fixture(params=["one block", "many blocks"])
 def many(request, monkeypatch):
     """Whether solves on a GPU take many blocks, as large ones do."""
-    monkeypatch.setattr(block_solver, "SMALL", 0 if request.param == "many blocks" else 10**9)
-    return request.param == "many blocks"
+    blocks = request.param == "many blocks"
+    for module in (stages, grid_flow):
+        monkeypatch.setattr(module, "in_one_block", lambda scalar, rows, near_capacity: not blocks)
+    return blocks
+
+
+def registers(kernel, folder):
+    """That a thread of a kernel takes on an H100 or H200, of each function of its binary; in the attribute 0x2f."""
+    wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=folder, use_ptx=False)
+    (path,) = folder.glob("*.cubin")
+    binary, found = path.read_bytes(), []
+    at = binary.find(b"\x04\x2f\x08\x00")
+    while at >= 0:
+        found.append(int.from_bytes(binary[at + 8 : at + 12], "little"))
+        at = binary.find(b"\x04\x2f\x08\x00", at + 4)
+    return found
+
+
+@pytest.mark.parametrize("kind", [(2, False), (2, True), (3, False), (3, True)], ids=str)
+def test_a_block_that_solves_has_registers_for_all_its_threads(kind, tmp_path):
+    """Of 65,536; more, and nothing is launched."""
+    module = block_solver.block_solver(wp.float32, *kind)
+    module.module.options["block_dim"] = block_solver.WIDE
+    found = registers(module, tmp_path)
+    assert found and 8 < max(found) <= 65_536 // block_solver.WIDE
+    assert not block_solver.in_one_block(wp.float64, 10, 10) and block_solver.in_one_block(wp.float32, 10, 10)
 
 
 @pytest.mark.parametrize("name", FLOWS)
@@ -218,9 +244,9 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick, many):
 def kernels_of_a_step(pick, monkeypatch):
     """Kernels of the steps of both methods, and of a rebuild, as a GPU has them."""
     found = {}
-    for rows in (0, 10**9):
+    for entries in (0, 10**9):
         with monkeypatch.context() as patch:
-            patch.setattr(block_solver, "SMALL", rows)
+            patch.setattr(block_solver, "SMALL", entries)
             found |= kernels_of_solves(pick)
     return found
 

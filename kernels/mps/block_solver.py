@@ -14,9 +14,12 @@ SMALL, WIDE = 40_000, 1024
 """
 
 
-def in_one_block(rows: int, near_capacity: int) -> bool:
-    """Does one block of a GPU take on a solve of so many rows with so many neighbours each?"""
-    return rows * near_capacity <= SMALL
+def in_one_block(scalar, rows: int, near_capacity: int) -> bool:
+    """Does one block of a GPU take on a solve of so many rows with so many neighbours each?
+
+    In double precision so many threads would need more registers than a multiprocessor has.
+    """
+    return scalar is wp.float32 and rows * near_capacity <= SMALL
 
 
 @functools.cache

@@ -193,7 +193,7 @@ class StepPart:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
-        if in_one_block(p.count, p.matrix.near_capacity):
+        if in_one_block(p.scalar, p.count, p.matrix.near_capacity):
             named = {"what": what, "maximum": maximum, "system": system, "x": x, **goal}
             return [p.stage(block_solver(*kind), WIDE, block=WIDE, **named)]
         begin, ready = parallel_start(*kind)

@@ -264,7 +264,7 @@ class GridFlow(Stepping):
 
         if not self.parallel:
             return [stage(serial_solver(*kind), 1)]
-        if in_one_block(system.rows, system.matrix.near_capacity):
+        if in_one_block(self.scalar, system.rows, system.matrix.near_capacity):
             return [stage(block_solver(*kind), WIDE, WIDE)]
         begin, ready = parallel_start(*kind)
         multiply, update, direct = parallel_iteration(*kind)
