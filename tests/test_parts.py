@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpcrete import scenes
+from warpcrete import Simulation, scenes
 from warpcrete.core.device import share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, SceneError
 from warpcrete.core.parameters import Needs, declared_fields
-from warpcrete.core.run_loop import Simulation
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
@@ -275,7 +274,7 @@ def side_by_side(request, device):
         yield device
 
 
-SMALL = OWN | SHORT | {"unit": "horizontal", "spacing": 0.0165}
+SMALL = OWN | SHORT | {"unit": "horizontal", "spacing": 0.0165, "time_step": 0.02}
 
 
 def test_runs_abreast_do_what_they_do_alone(side_by_side):
