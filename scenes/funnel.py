@@ -15,7 +15,7 @@ from warpcrete.core.units import number
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
 VOLUME = 0.04
-"""Part of the volume that the surface may gain or lose; measured up to 0.023."""
+"""Part of the volume that the surface may gain or lose; measured up to 0.021."""
 REMARKS = (
     "a quarter is computed, between the planes of symmetry",
     "what leaves the outlet is gone: its weight does not pull",

@@ -22,7 +22,9 @@ TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 SHELL, ABOVE = 3, 3
 """Cells of which a mould is thick, and that lie above it."""
 VOLUME = 0.05
-"""Part of the volume that the surface may gain or lose; measured up to 0.037, while it moves fastest."""
+"""Part of the volume that the surface may gain or lose; measured up to 0.027 while it moves fastest, and 0.07 to 0.14
+where 20 Pa make a layer a few cells thin, which the check is to tell.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,10 @@ INLET = ROUGH + 1
 """Number of the plane that concrete enters through."""
 BEHIND = 2
 """Cells of the room around the bore."""
-ACROSS = 0.9
-"""Cosine between a triangle's normal and the axis above which it closes a pipe."""
+ACROSS, NEAR = 0.9, 0.1
+"""Cosine between a triangle's normal and the axis above which it closes a pipe, if it lies so near an end or beyond,
+over the radius.
+"""
 ABREAST = 2
 """Particles of a cell along each axis."""
 
@@ -109,8 +111,8 @@ def _caps(scene: PartScene) -> np.ndarray:
     s = axis.along(middle)
     _, tangent = axis.at(s)
     across = np.abs(np.sum(normal * tangent, 1)) > ACROSS * np.linalg.norm(normal, axis=1)
-    near = ACROSS * scene.radius
-    return across & ((s < scene.radius - near) | (s > axis.length - scene.radius + near))
+    near = NEAR * scene.radius
+    return across & ((s < near) | (s > axis.length - near))
 
 
 def inlet_distance(scene: PartScene) -> Distance:
