@@ -17,8 +17,10 @@ from matplotlib.figure import Figure
 
 from warpcrete import scenes
 from warpcrete.core.device import default_threads, find_device
+from warpcrete.core.run_loop import Run
 from warpcrete.mps import theory
 from warpcrete.mps.simulation import FluidSimulation
+from warpcrete.mps.stepping import run_abreast
 
 MIXES = ("no1", "no2", "no3")
 FEW = 6  # mixes for a mean
@@ -47,9 +49,14 @@ class Studies:
         return (run, simulation) if keep else run
 
     def run_all(self, parameters: list[dict]) -> list[tuple[dict, dict]]:
-        """Series and result of a channel for each set of parameters: on a CPU in processes, one a core."""
+        """Series and result of a channel for each set of parameters: on a GPU abreast, on a CPU a process a core."""
         if self.on_gpu:
-            return [channel((p, self.device)) for p in parameters]
+            simulations = [FluidSimulation(scenes.channel(**p), device=self.device) for p in parameters]
+            outcomes = run_abreast(simulations, [None] * len(simulations), lambda phase, fraction: None)
+            for outcome in outcomes:
+                if isinstance(outcome, BaseException):
+                    raise outcome
+            return [(outcome.series, outcome.result) for outcome in outcomes if isinstance(outcome, Run)]
         with ProcessPoolExecutor(default_threads(), mp_context=multiprocessing.get_context("spawn")) as pool:
             return list(pool.map(channel, [(p, self.device) for p in parameters]))
 
@@ -224,20 +231,22 @@ class Studies:
         )  # fmt: skip
 
     def rigidity(self) -> None:
-        """What the numerical viscosity of the aggregate does."""
+        """Two phases by spacing: grains are rigid in the solve, so nothing else is to be chosen."""
         rows = []
-        for viscosity in (1e3, 3e3, 1e4, 3e4, 1e5):
-            run = self.run(scenes.channel(spacing=2.5e-3, aggregates=True, aggregate_viscosity=viscosity))
-            r = run.result
+        for spacing in (5e-3, 2.5e-3, 5e-3 / 3, 1.25e-3):
+            jobs = [dict(spacing=spacing, aggregates=True, seed=seed) for seed in range(FEW)]
+            results = [result for _, result in self.run_all(jobs)]
             rows.append(
-                [f"{viscosity:g}", f"{r['pressure']['value'] / 1e3:.3f}", f"{100 * r['pressure_error']:+.2f}",
-                 f"{100 * r['slip_velocity']['value']:.2f}", f"{100 * r['slip_velocity_error']:+.2f}",
-                 f"{r['iterations']['viscosity']:.0f}", f"{1e3 * r['speed']['wall_time']['value'] / r['steps']:.1f}"]
+                [f"{1e3 * spacing:.3g}", str(results[0]["particles"]),
+                 _scattered([100 * r["pressure_error"] for r in results]),
+                 _scattered([100 * r["slip_velocity_error"] for r in results]),
+                 _scattered([r["iterations"]["viscosity"] for r in results], 0)]
             )  # fmt: skip
         self.write(
             "rigidity",
-            ["mu_CA [Pa s]", "pressure [kPa]", "off [%]", "slip [cm/s]", "off [%]", "velocity it.", "a step [ms]"],
+            ["spacing [mm]", "particles", "pressure off [%]", "slip off [%]", "velocity it."],
             rows,
+            f"Mean and scatter of {FEW} mixes.",
         )
 
     def migration(self) -> None:
@@ -247,30 +256,30 @@ class Studies:
         rows = []
         common = dict(spacing=self.fine, aggregates=True, duration=self.migration_time, sample_interval=0.05)
         runs = self.run_all([common | dict(concrete=mix, seed=seed) for mix in MIXES for seed in range(self.seeds)])
+        changes = {}
         for number, mix in enumerate(MIXES):
-            parts: dict[str, list[np.ndarray]] = {k: [] for k in ("inner", "outer", "front", "rear")}
-            volume, off, took = [], [], []
-            for series, result in runs[number * self.seeds : (number + 1) * self.seeds]:
-                time = series["time"]
-                for name, found in parts.items():
-                    fraction = 100 * series[f"aggregate_{name}"]
-                    found.append(fraction - fraction[0])
-                volume.append(abs(result["volume_error"]))
-                off.append(result["pressure_error"])
-                took.append(result["speed"]["wall_time"]["value"])
+            own = runs[number * self.seeds : (number + 1) * self.seeds]
+            time = own[0][0]["time"]
+            parts = {
+                name: 100 * np.array([s[f"aggregate_{name}"] - s[f"aggregate_{name}"][0] for s, _ in own])
+                for name in ("inner", "outer", "front", "rear")
+            }
+            changes |= {f"{mix}_{name}": found for name, found in parts.items()}
             for axes, names in ((left, ("inner", "outer")), (right, ("front", "rear"))):
                 for name, line in zip(names, ("-", "--")):
-                    mean, scatter = np.mean(parts[name], 0), np.std(parts[name], 0)
+                    mean, error = parts[name].mean(0), _standard_error(parts[name])
                     axes.plot(time, mean, f"C{number}{line}", label=f"{mix}, {name}")
-                    axes.fill_between(time, mean - scatter, mean + scatter, color=f"C{number}", alpha=0.1, lw=0)
-            for at in (0.4 * time[-1], time[-1]):
+                    axes.fill_between(time, mean - error, mean + error, color=f"C{number}", alpha=0.15, lw=0)
+            for at in (0.4 * time[-1], 0.8 * time[-1], time[-1]):
                 k = int(np.argmin(np.abs(time - at)))
                 window = slice(max(k - 5, 0), k + 1)  # single grains that cross a border are noise
-                cells = [np.array([p[window].mean() for p in found]) for found in parts.values()]
+                cells = [found[:, window].mean(1) for found in parts.values()]
                 rows.append(
-                    [mix, f"{time[k]:.1f}", *(f"{c.mean():+.2f} +- {c.std(ddof=1):.2f}" for c in cells),
-                     f"{100 * max(volume):.3f}", f"{100 * np.mean(off):+.2f}", f"{np.mean(took):.0f}"]
+                    [mix, f"{time[k]:.1f}", *(f"{c.mean():+.3f} +- {_standard_error(c):.3f}" for c in cells),
+                     f"{cells[0].std(ddof=1):.2f}", f"{100 * max(abs(r['volume_error']) for _, r in own):.3f}",
+                     f"{100 * np.mean([r['pressure_error'] for _, r in own]):+.2f}"]
                 )  # fmt: skip
+        np.savez_compressed(self.folder / "migration.npz", time=time, **changes)
         for axes in (left, right):
             axes.axhline(0, color="0.7", linewidth=0.6)
             axes.set(xlabel="time [s]", ylabel="change of the fraction of aggregate [points]")
@@ -278,10 +287,10 @@ class Studies:
         self.save("migration", figure)
         self.write(
             "migration",
-            ["mix", "after [s]", "inner [points]", "outer", "front", "rear", "volume, at most [%]", "pressure off [%]",
-             "a run [s]"],
+            ["mix", "after [s]", "inner [points]", "outer", "front", "rear", "scatter of mixes, inner",
+             "volume, at most [%]", "pressure off [%]"],
             rows,
-            f"Means and scatter of {self.seeds} mixes each; change since the start, mean of the last 0.3 s.",
+            f"Means of {self.seeds} mixes each and their standard errors; change since the start, mean of 0.3 s.",
         )  # fmt: skip
 
     def tube(self) -> None:
@@ -355,6 +364,11 @@ def _scattered(values, digits: int = 2) -> str:
     return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
 
 
+def _standard_error(values) -> np.ndarray:
+    """Of the mean over the first axis."""
+    return np.std(values, axis=0, ddof=1) / np.sqrt(len(values))
+
+
 def _falls(result: dict) -> tuple[float, float]:
     """How much slower than the middle the fluid is four fifths of the way to the wall [m/s]; the same over the fall to
     the slip velocity. Mean of the three heights."""
@@ -378,7 +392,7 @@ def main(kind: type[Studies] = Studies, names: tuple[str, ...] = NAMES, about: s
     parser.add_argument("--only", nargs="+", choices=names, default=names)
     parser.add_argument("--fine", type=float, default=2e-3, help="spacing of fields and migration [m]")
     parser.add_argument("--migration", type=float, default=5.0, help="simulated time of migration [s]")
-    parser.add_argument("--seeds", type=int, default=3, help="mixes of migration, for means and scatter")
+    parser.add_argument("--seeds", type=int, default=3, help="mixes of migration, for means and errors")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     studies = kind(args.device, args.out, args.fine, args.migration, args.seeds)

@@ -1,6 +1,7 @@
 """Sums over all rows that are the same to the bit every time."""
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
@@ -8,23 +9,31 @@ BLOCK = 256
 """Threads of a CUDA block, which forms one partial sum."""
 
 
-@wp.func
-def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-    """Add up what the threads of a block bring, into `partial[first + block]`. All of them must call."""
-    whole = wp.tile_sum(wp.tile(own))
-    sum = whole[0]
-    if thread % BLOCK == 0:
-        partial[first + thread / BLOCK] = sum
+@functools.cache
+def block_sums(width: int) -> SimpleNamespace:
+    """`keep` and `total` of blocks of so many threads."""
+
+    @wp.func
+    def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
+        """Add up what the threads of a block bring, into `partial[first + block]`. All of them must call."""
+        whole = wp.tile_sum(wp.tile(own))
+        sum = whole[0]
+        if thread % width == 0:
+            partial[first + thread / width] = sum
+
+    @wp.func
+    def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
+        """Sum of the partial sums of all blocks, for every thread of a block. All of them must call."""
+        own = wp.float64(0.0)
+        for k in range(thread % width, blocks, width):
+            own += partial[first + k]
+        whole = wp.tile_sum(wp.tile(own))
+        return whole[0]
+
+    return SimpleNamespace(keep=keep, total=total)
 
 
-@wp.func
-def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
-    """Sum of the partial sums of all blocks, for every thread of a block. All of them must call."""
-    own = wp.float64(0.0)
-    for k in range(thread % BLOCK, blocks, BLOCK):
-        own += partial[first + k]
-    whole = wp.tile_sum(wp.tile(own))
-    return whole[0]
+keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 
 @functools.cache

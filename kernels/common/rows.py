@@ -113,6 +113,57 @@ PRODUCT = """
 """Four sums abreast: one alone would wait for every addition before the next."""
 
 
+DIRECTED = """
+    VALUE a = {}, b = {}, c = {}, d = {};
+#if defined(__CUDA_ARCH__)
+#define WARPCRETE_CONSTANT(at) __ldg(&at)
+#else
+#define WARPCRETE_CONSTANT(at) at
+#endif
+    const auto term = [&](int k) {
+        const int at = k * rows + row, j = WARPCRETE_CONSTANT(neighbour.data[at]);
+        return WARPCRETE_CONSTANT(coefficient.data[at]) * (value.data[j] + factor * direction.data[first + j]);
+    };
+    int k = 0;
+    for (; k + 3 < count; k += 4) {
+        a += term(k);
+        b += term(k + 1);
+        c += term(k + 2);
+        d += term(k + 3);
+    }
+    for (; k < count; ++k)
+        a += term(k);
+    return (a + b) + (c + d);
+"""
+
+
+@functools.cache
+def directed_product(scalar, value_type):
+    """Function of (neighbour, coefficient, value, direction, factor, first, row, rows, count): coefficients of a row of
+    lists by entry, times the neighbours' `value` and `factor` times their `direction`, whose rows begin at `first`.
+
+    Neighbours and coefficients must not change in the kernel.
+    """
+    width = getattr(value_type, "_length_", 1)
+    name = "double" if scalar is wp.float64 else "float"
+    snippet = DIRECTED.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>")
+
+    @wp.func_native(snippet)
+    def product(
+        neighbour: wp.array(dtype=wp.int32),
+        coefficient: wp.array(dtype=scalar),
+        value: wp.array(dtype=value_type),
+        direction: wp.array(dtype=value_type),
+        factor: scalar,
+        first: wp.int32,
+        row: wp.int32,
+        rows: wp.int32,
+        count: wp.int32,
+    ) -> value_type: ...
+
+    return product
+
+
 @functools.cache
 def row_product(scalar, value_type):
     """Function of (neighbour, coefficient, value, first, count): coefficients of a row times the neighbours' values."""

@@ -165,7 +165,6 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         particle_position: wp.array(dtype=t.vec),
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
-        particle_group: wp.array(dtype=wp.int32),
         lists: Lists,
         # written; of the shift of particles, the residual is the density's error
         fields: Fields,
@@ -206,9 +205,9 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
-                if particle_group[i] >= 0:
-                    apparent = flow.aggregate_viscosity
-                    tangent = apparent
+                if i < matrix.bound:
+                    # What is sheared between a wall and a grain is the mortar up to the grain's own half spacing.
+                    m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
             # Velocity from the wall to here over the wall's stress: stress falls in a straight line towards the axis,
             # and the rate of shear with it, from what the tangent gives at the wall to what it is here.
@@ -299,6 +298,18 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 other = fields.viscosity[j]
                 laplacian = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
+                if wp.static(two_phase):
+                    # Half of a pair's distance is rigid where one of both is of a grain. What lies between two grains
+                    # counts as mortar; within one nothing is sheared.
+                    if i < matrix.bound:
+                        if j >= matrix.bound:
+                            c = laplacian * scalar(2.0) * other
+                        elif particles.group[i] == particles.group[j]:
+                            c = scalar(0.0)
+                        else:
+                            c *= scalar(2.0)
+                    elif j < matrix.bound:
+                        c = laplacian * scalar(2.0) * mu
                 matrix.coefficient[at] = c
                 total += c
                 force += c * (particles.velocity[j] - v)

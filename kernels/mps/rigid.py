@@ -1,6 +1,8 @@
-"""Rigid groups of particles (passively moving solids, Koshizuka, Nobe & Oka 1998): coarse aggregate.
+"""Rigid groups of particles: coarse aggregate.
 
-Particles of a grain move as fluid does; then their mean velocity and angular momentum become those of a rigid body.
+The solve for velocities under viscosity knows rigid motions of grains only: a grain's unknowns are a velocity and a
+spin, its forces a resultant and a moment. The pressure then moves its particles as it does fluid, after which their
+mean velocity and angular momentum become those of a rigid body (passively moving solids, Koshizuka, Nobe & Oka 1998).
 Places follow from stored offsets, so that a grain keeps its shape for ever.
 """
 
@@ -61,16 +63,136 @@ def rotation_functions(scalar, dimensions: int):
 
 
 @functools.cache
-def velocities_kernel(scalar, dimensions: int):
-    """Before particles advance: mean velocity and angular momentum of each grain, a thread a grain."""
+def body_functions(scalar, dimensions: int) -> SimpleNamespace:
+    """Of a grain as a rigid body: `lever_inertia` of a particle, `inverted` inertia, `resultant` and `moment` of what
+    its particles bear, velocity of a particle by its `spin`.
+    """
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
     rotation = rotation_functions(scalar, dimensions)
     raised, lowered = rotation.raised, rotation.lowered
+    flat = dimensions == 2
+
+    @wp.func
+    def lever_inertia(lever: t.vec) -> mat33:
+        r = raised(lever)
+        return wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
+
+    @wp.func
+    def inverted(inertia: mat33) -> mat33:
+        """Spin over moment; in a plane there is one about y alone."""
+        inverse = mat33()
+        if wp.static(flat):
+            if inertia[1, 1] > scalar(0.0):
+                inverse[1, 1] = scalar(1.0) / inertia[1, 1]
+        else:
+            size = wp.trace(inertia) / scalar(3.0)
+            if size > scalar(0.0):
+                # Particles in a row have no inertia about it, and no momentum: a little makes that spin nothing.
+                if wp.determinant(inertia) < scalar(1.0e-3) * size * size * size:
+                    inertia += scalar(1.0e-4) * size * wp.identity(n=3, dtype=scalar)
+                inverse = wp.inverse(inertia)
+        return inverse
+
+    @wp.func
+    def resultant(borne: wp.array(dtype=t.vec), begin: wp.int32, end: wp.int32) -> t.vec:
+        sum = t.vec()
+        for i in range(begin, end):
+            sum += borne[i]
+        return sum
+
+    @wp.func
+    def moment(
+        borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
+        end: wp.int32,
+    ) -> vec3:  # fmt: skip
+        """About the centre, of what is borne over a mean that has none."""
+        sum = vec3()
+        for i in range(begin, end):
+            sum += wp.cross(raised(place[i] - centre), raised(borne[i] - mean))
+        return sum
+
+    @wp.func
+    def spun(spin: vec3, lever: t.vec) -> t.vec:
+        return lowered(wp.cross(spin, raised(lever)))
+
+    return SimpleNamespace(
+        lever_inertia=lever_inertia, inverted=inverted, resultant=resultant, moment=moment, spun=spun
+    )
+
+
+@functools.cache
+def bodies_kernel(scalar, dimensions: int):
+    """What a step's solve has to know of each grain, a thread a grain: its middle, inertia and mobilities."""
+    mat33 = types(scalar).mat33
+    body = body_functions(scalar, dimensions)
+    structs = array_structs(scalar, dimensions)
+    Particles, Matrix, Grains = structs.Particles, structs.Matrix, structs.Grains
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def bodies(flags: wp.array(dtype=wp.int32), particles: Particles, matrix: Matrix, grains: Grains):
+        if flags[HALTED] != 0:
+            return
+        g = wp.tid()
+        begin, end = grains.first[g], grains.first[g + 1]
+        centre = body.resultant(particles.position, begin, end) / scalar(end - begin)
+        inertia = mat33()
+        resistance = scalar(0.0)
+        spin_resistance = mat33()
+        for i in range(begin, end):
+            lever = body.lever_inertia(particles.position[i] - centre)
+            own = matrix.diagonal[i] + matrix.drag[i]
+            inertia += lever
+            resistance += own
+            spin_resistance += own * lever
+        grains.centre[g] = centre
+        grains.inverse_inertia[g] = body.inverted(inertia)
+        grains.mobility[g] = scalar(1.0) / resistance
+        grains.spin_mobility[g] = body.inverted(spin_resistance)
+
+    return bodies
+
+
+@functools.cache
+def share_function(scalar, dimensions: int):
+    """`share`: preconditioned residual of a grain's particles; inner product of it and the residual, residual squared.
+
+    Of a residual only its resultant and moment count; its square is that of the rigid motion with both.
+    """
+    t = mps_types(scalar, dimensions)
+    body = body_functions(scalar, dimensions)
+    Grains = array_structs(scalar, dimensions).Grains
+
+    @wp.func
+    def share(
+        g: wp.int32,
+        grains: Grains,
+        position: wp.array(dtype=t.vec),
+        residual: wp.array(dtype=t.vec),
+        preconditioned: wp.array(dtype=t.vec),
+    ):
+        begin, end = grains.first[g], grains.first[g + 1]
+        centre = grains.centre[g]
+        force = body.resultant(residual, begin, end)
+        moment = body.moment(residual, t.vec(), position, centre, begin, end)
+        mean = grains.mobility[g] * force
+        spin = grains.spin_mobility[g] * moment
+        for i in range(begin, end):
+            preconditioned[i] = mean + body.spun(spin, position[i] - centre)
+        inner = wp.dot(force, mean) + wp.dot(moment, spin)
+        square = wp.length_sq(force) / scalar(end - begin) + wp.dot(moment, grains.inverse_inertia[g] * moment)
+        return wp.float64(inner), wp.float64(square)
+
+    return share
+
+
+@functools.cache
+def velocities_kernel(scalar, dimensions: int):
+    """Before particles advance: mean velocity and angular momentum of each grain, a thread a grain."""
+    body = body_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Fields, Grains = structs.Particles, structs.Fields, structs.Grains
-    flat = dimensions == 2
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -78,40 +200,16 @@ def velocities_kernel(scalar, dimensions: int):
         if flags[HALTED] != 0:
             return
         g = wp.tid()
-        begin = grains.first[g]
-        end = grains.first[g + 1]
+        begin, end = grains.first[g], grains.first[g + 1]
         count = scalar(end - begin)
-        centre = t.vec()
-        mean = t.vec()
-        aside = t.vec()
+        centre = grains.centre[g]
+        mean = body.resultant(particles.velocity, begin, end) / count
+        aside = body.resultant(fields.moved, begin, end) / count
+        spin = grains.inverse_inertia[g] * body.moment(particles.velocity, mean, particles.position, centre, begin, end)
         for i in range(begin, end):
-            centre += particles.position[i]
-            mean += particles.velocity[i]
-            aside += fields.moved[i]
-        centre = centre / count
-        mean = mean / count
-        aside = aside / count
-        momentum = vec3()
-        inertia = mat33()
-        for i in range(begin, end):
-            r = raised(particles.position[i] - centre)
-            momentum += wp.cross(r, raised(particles.velocity[i] - mean))
-            inertia += wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
-        turn = vec3()
-        if wp.static(flat):
-            if inertia[1, 1] > scalar(0.0):
-                turn = vec3(scalar(0.0), momentum[1] / inertia[1, 1], scalar(0.0))
-        else:
-            size = wp.trace(inertia) / scalar(3.0)
-            if size > scalar(0.0):
-                # Particles in a row have no inertia about it, and no momentum: a little makes that spin nothing.
-                if wp.determinant(inertia) < scalar(1.0e-3) * size * size * size:
-                    inertia += scalar(1.0e-4) * size * wp.identity(n=3, dtype=scalar)
-                turn = wp.inverse(inertia) * momentum
-        for i in range(begin, end):
-            particles.velocity[i] = mean + lowered(wp.cross(turn, raised(particles.position[i] - centre)))
+            particles.velocity[i] = mean + body.spun(spin, particles.position[i] - centre)
             fields.moved[i] = aside
-        grains.spin[g] = turn
+        grains.spin[g] = spin
         mean[last] = mean[last] - flow.piston_speed
         grains.step[g] = flow.dt * mean + aside
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.types import SPAN
+from ..common.types import SPAN, types
 
 # What failed, as `flags[FAILED]` of `common.control` has it.
 VISCOSITY = 1
@@ -52,7 +52,6 @@ def flow_struct(scalar):
         regularisation: scalar  # beta [s]
         slip_viscosity: scalar  # eta_L [Pa s/m]
         slip_yield: scalar  # tau_L0 [Pa]
-        aggregate_viscosity: scalar  # of coarse aggregate [Pa s]
         correction: scalar  # part of the density's error that a step takes away
         skin: scalar  # of the lists [m]
 
@@ -61,9 +60,9 @@ def flow_struct(scalar):
 
 @functools.cache
 def array_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Structs `Particles`, `Lists`, `Fields`, `Matrix`, `Grains`, and `Solve` of vectors and of numbers."""
+    """Structs `Particles`, `Lists`, `Fields`, `Grains`, `Matrix`, and `Solve` of vectors and of numbers."""
     t = mps_types(scalar, dimensions)
-    vec3 = wp.vec3d if scalar is wp.float64 else wp.vec3f
+    vec3, mat33 = types(scalar).vec3, types(scalar).mat33
 
     @wp.struct
     class Particles:
@@ -106,6 +105,20 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         late: wp.array(dtype=wp.int32)  # 1 if a particle outgrew the lists, 1 if one is lost, shape (2,)
 
     @wp.struct
+    class Grains:
+        first: wp.array(dtype=wp.int32)  # particle of each grain, and the end of the last, shape (grains + 1,)
+        offset: wp.array(dtype=t.vec)  # of its particles from its middle at the start [m], shape (grain particles,)
+        middle: wp.array(dtype=t.vec)  # [m], shape (grains,) as the rest
+        middle_rounding: wp.array(dtype=t.vec)  # what rounding took from it so far [m]
+        centre: wp.array(dtype=t.vec)  # mean place of its particles in this step [m]
+        inverse_inertia: wp.array(dtype=mat33)  # about that, of particles of mass one [1/m2]
+        mobility: wp.array(dtype=scalar)  # velocity over force by the matrix's diagonal alone, a preconditioner
+        spin_mobility: wp.array(dtype=mat33)  # spin over moment likewise
+        step: wp.array(dtype=t.vec)  # displacement of this step [m]
+        spin: wp.array(dtype=vec3)  # [rad/s]
+        turn: wp.array(dtype=t.mat)  # rotation since the start
+
+    @wp.struct
     class Matrix:
         near_capacity: wp.int32  # as that of the lists, and so the next two
         near_count: wp.array(dtype=wp.int32)
@@ -115,28 +128,19 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         drag: wp.array(dtype=scalar)  # resistance of the wall to motion along it [kg/m3/s]
         free: wp.array(dtype=wp.int32)  # 1 at the free surface, whose pressure is none
         position: wp.array(dtype=t.vec)  # as that of the particles [m]
-
-    @wp.struct
-    class Grains:
-        first: wp.array(dtype=wp.int32)  # particle of each grain, and the end of the last, shape (grains + 1,)
-        offset: wp.array(dtype=t.vec)  # of its particles from its middle at the start [m], shape (grain particles,)
-        middle: wp.array(dtype=t.vec)  # [m], shape (grains,) as the rest
-        middle_rounding: wp.array(dtype=t.vec)  # what rounding took from it so far [m]
-        step: wp.array(dtype=t.vec)  # displacement of this step [m]
-        spin: wp.array(dtype=vec3)  # [rad/s]
-        turn: wp.array(dtype=t.mat)  # rotation since the start
+        bound: wp.int32  # rows of grains' particles, which come before those of mortar
+        grains: Grains
 
     def solve_struct(value):
         @wp.struct
         class Solve:
             residual: wp.array(dtype=value)  # shape (n,)
-            direction: wp.array(dtype=value)  # shape (n,)
+            direction: wp.array(dtype=value)  # shape (n,); of a GPU (2n,): two in turn
             product: wp.array(dtype=value)  # of the matrix and the direction, shape (n,)
+            preconditioned: wp.array(dtype=value)  # residual over the diagonal, shape (n,); of a GPU alone
             partial: wp.array(dtype=wp.float64)  # sums of each block or thread: three kinds, one after the other
-            numbers: wp.array(dtype=wp.float64)  # inner products of this iteration and the one before, goal, shape (3,)
             outcome: wp.array(dtype=wp.float64)  # iterations, norms of the residual before and after, shape (OUTCOME,)
             history: wp.array(dtype=wp.float64)  # norm of the residual after each iteration
-            going: wp.array(dtype=wp.int32)  # 1 while iterations go on, shape (1,)
 
         return Solve
 

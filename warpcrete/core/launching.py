@@ -99,29 +99,8 @@ class Stage:
             self._command.launch()
 
 
-class Loop:
-    """Stages that repeat on the device while a flag is set (inside a graph)."""
-
-    def __init__(self, condition: wp.array, body: list[Stage]) -> None:
-        self.condition, self.body = condition, body
-
-    def load(self) -> None:
-        """Compile the kernels of all stages, or read them from the cache."""
-        for stage in self.body:
-            stage.load()
-
-    def __call__(self) -> None:
-        for stage in self.body:
-            stage.record()
-        wp.capture_while(self.condition, self._once)
-
-    def _once(self) -> None:
-        for stage in self.body:
-            stage()
-
-
 Step = list[list[Any]]
-"""Stages and loops of one step, a list for each thread."""
+"""Stages of one step, a list for each thread."""
 
 
 def graph_sizes(count: int, largest: int) -> list[int]:

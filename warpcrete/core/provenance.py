@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import platform
 from collections.abc import Mapping
@@ -35,6 +36,7 @@ def versions() -> dict[str, str]:
     return {"warpcrete": _version("warpcrete"), "warp": _version("warp-lang")}
 
 
+@functools.cache
 def _version(package: str) -> str:
     try:
         return version(package)
@@ -42,6 +44,7 @@ def _version(package: str) -> str:
         return "source tree, not installed"
 
 
+@functools.cache
 def processor() -> str:
     """Model of the CPU. Kernels of the CPU are compiled for it (Warp's `-march=native`), so their bits belong to it."""
     try:

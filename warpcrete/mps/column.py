@@ -70,9 +70,6 @@ class AggregateParameters:
     aggregate_fraction: Annotated[
         float | None, "of the volume; default: the concrete's gravel", TWO_PHASES, Alias("aggregate_share")
     ] = None
-    aggregate_viscosity: Annotated[
-        float, "of aggregate in the viscous forces, a numerical rigidity [Pa s]", TWO_PHASES
-    ] = 1e4
     aggregate_density: Annotated[float, "[kg/m3]", Above(), TWO_PHASES] = 2630.0
     inclusions: Annotated[
         str,
@@ -106,9 +103,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         mortar = mortar_of(concrete, fraction, self.aggregate_density, inclusions)
         own = {"viscosity": self.mortar_viscosity, "yield_stress": self.mortar_yield}
         mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
-        return Aggregates(
-            fraction=fraction, mortar=mortar, density=self.aggregate_density, viscosity=self.aggregate_viscosity
-        )
+        return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def driven(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
         """The flow [m3/s] that was given, or that theory says the given pressure drives; `bulk` is the radius [m]."""

@@ -107,14 +107,19 @@ class MovingParticles(Stepping):
         for name in ("diagonal", "drag", "free"):
             setattr(matrix, name, self._array(struct, name, self.count))
         matrix.position = self.particles.position
+        if self.grains is not None:
+            assert self.state.grains is not None
+            matrix.bound, matrix.grains = int(self.state.grains.first[-1]), self.grains
         return matrix
 
     def _solve(self, struct: Any) -> Any:
         """Working arrays of one system of equations."""
         solve = struct()
+        bodies = 0 if self.state.grains is None else self.state.grains.count
         sizes = {
-            "partial": 3 * (self.blocks if self.parallel else self.threads), "numbers": 3, "outcome": OUTCOME,
-            "history": HISTORY, "going": 1,
+            "partial": 3 * (self.blocks + -(-bodies // BLOCK) if self.parallel else self.threads), "outcome": OUTCOME,
+            "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
+            "preconditioned": self.count if self.parallel else 0,
         }  # fmt: skip
         for name in struct.vars:
             setattr(solve, name, self._array(struct, name, sizes.get(name, self.count)))

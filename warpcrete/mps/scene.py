@@ -31,8 +31,6 @@ class Aggregates:
     """Bingham constants and density of what is between them; its slip layer is the concrete's."""
     density: float = 2630.0
     """[kg/m3]"""
-    viscosity: float = 1e4
-    """mu_CA [Pa s], of aggregate in the pairwise viscous forces: a numerical rigidity."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
     """Smallest and largest size [m] and part of each class, by volume."""
     roundness: float = 0.6
@@ -42,7 +40,6 @@ class Aggregates:
         positive("aggregate fraction", self.fraction, "", "leave out aggregates")
         between("aggregate fraction", self.fraction, 0, 0.6, "", "denser mixes cannot be placed at random")
         positive("aggregate density", self.density, "kg/m3")
-        positive("aggregate viscosity", self.viscosity, "Pa s")
         between("roundness", self.roundness, 0.5, 1)
         for smallest, largest, part in self.sizes:
             positive("aggregate size", smallest, "m")

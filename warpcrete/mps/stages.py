@@ -3,7 +3,7 @@
 A step projects as pressure-correction methods do, with the pressure of the step before in the prediction:
 
 1. geometry: moment matrices, apparent viscosity, predicted pressure (filtered);
-2. velocities under viscosity, slip layer, predicted pressure and weight (implicit);
+2. velocities under viscosity, slip layer, predicted pressure and weight (implicit), grains as rigid bodies;
 3. the increment of pressure that takes their divergence away;
 4. places: along the velocities, then off crowds by a second, loose solve that no velocity feels.
 
@@ -16,25 +16,20 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..core.launching import Loop, Stage, Step, members
+from ..core.launching import Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
-from ..kernels.mps.block_solver import WIDE, block_solver, in_one_block
-from ..kernels.mps.conjugate_gradient import (
-    parallel_iteration,
-    parallel_start,
-    serial_solver,
-)
+from ..kernels.mps.conjugate_gradient import serial_solver
 from ..kernels.mps.motion import advance_kernel, finish, shift_kernel
 from ..kernels.mps.operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
-from ..kernels.mps.rigid import places_kernel, velocities_kernel
+from ..kernels.mps.resident_solver import resident_blocks, resident_solver
+from ..kernels.mps.rigid import bodies_kernel, places_kernel, velocities_kernel
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from .state import lattice_number
 
 VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
 LEAST_PRESSURE = 1e-4  # of the pressure's tolerance, for residuals over those of the piston's speed across the radius
 SHIFTING = 0.1, 1e-7  # of the density's solve: residual over that at its start, or mean over the density's error
-LOOPED = 8  # iterations of a GPU from one look at whether to go on to the next; an even number
 
 
 def step_stages(particles: Any) -> Step:
@@ -82,6 +77,7 @@ class StepPart:
             *self.geometry(),
             *self.wall_scale(),
             *self.momentum(),
+            *self.bodies(),
             *self.viscosity(),
             *self.each(divergence_kernel(*self.kind, self.two_phase)),
             *self.pressure(),
@@ -106,9 +102,9 @@ class StepPart:
         """A kernel that the first part runs for all; then all wait."""
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.meet]
 
-    def in_blocks(self, kernel: Any, blocks: int | None = None, **named: Any) -> Stage:
+    def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
         """A kernel in whole blocks of a GPU, over all rows unless a number of blocks is given."""
-        return self.p.stage(kernel, BLOCK * (blocks or self.p.blocks), block=BLOCK, **named)
+        return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
     # Stages, in their order.
 
@@ -132,6 +128,12 @@ class StepPart:
 
     def momentum(self) -> list[Any]:
         return self.each(momentum_kernel(*self.kind, self.two_phase))
+
+    def bodies(self) -> list[Any]:
+        """Grains as the solve for velocities sees them."""
+        if not self.two_phase:
+            return []
+        return self.alone(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
 
     def viscosity(self) -> list[Any]:
         absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
@@ -187,27 +189,14 @@ class StepPart:
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
         """Conjugate gradients down to `tolerance` of the residual at the start, or to `absolute`; adds to `x`."""
         p, maximum = self.p, self.scene.maximum_iterations
-        kind = p.scalar, self.dimensions, what == VISCOSITY
+        vector = what == VISCOSITY
+        rigid = vector and self.two_phase
+        kind = p.scalar, self.dimensions, vector, rigid
         goal = {"tolerance": tolerance, "absolute_tolerance": absolute}
         if self.serial:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
-        if in_one_block(p.scalar, p.count, p.matrix.near_capacity):
-            named = {"what": what, "maximum": maximum, "system": system, "x": x, **goal}
-            return [p.stage(block_solver(*kind), WIDE, block=WIDE, **named)]
-        begin, ready = parallel_start(*kind)
-        multiply, update, direct = parallel_iteration(*kind)
-        arrays = [members(kernel, matrix=p.matrix, system=system) for kernel in (multiply, update, direct)]
-        body = []
-        for now in (0, 1) * (LOOPED // 2):
-            body += [
-                self.in_blocks(multiply, **arrays[0]),
-                self.in_blocks(update, now=now, x=x, **arrays[1]),
-                self.in_blocks(direct, now=now, what=what, maximum=maximum, **arrays[2]),
-            ]
-        return [
-            self.in_blocks(begin, system=system),
-            self.in_blocks(ready, 1, system=system, **goal),
-            Loop(system.going, body),
-        ]
+        width, parties = resident_blocks(p.device, p.count, p.abreast)
+        named = {"what": what, "maximum": maximum, "system": system, "x": x, "parties": parties, **goal}
+        return [p.stage(resident_solver(*kind, width), width * parties, block=width, **named)]

@@ -90,6 +90,10 @@ class FluidState:
             middle_rounding=grains.count,
             step=grains.count,
             spin=grains.count,
+            centre=grains.count,
+            inverse_inertia=grains.count,
+            mobility=grains.count,
+            spin_mobility=grains.count,
             turn=np.tile(np.eye(self.scene.dimensions), (grains.count, 1, 1)),
         )
 
@@ -154,7 +158,6 @@ def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
         regularisation=scene.regularisation,
         slip_viscosity=scene.concrete.slip_viscosity,
         slip_yield=scene.concrete.slip_yield,
-        aggregate_viscosity=scene.aggregates.viscosity if scene.aggregates is not None else 0.0,
         correction=correction,
         skin=skin * l0,
     )

@@ -37,7 +37,10 @@ class Stepping(ABC):
     parallel: bool
     time: float
     steps: int
+    abreast: int = 1
+    """Flows that share the GPU; set by :meth:`share`."""
     _launcher: Launcher
+    _step: Step | None
 
     @property
     @abstractmethod
@@ -54,6 +57,12 @@ class Stepping(ABC):
     def build(self) -> None:
         """What a step asked for, to be done between steps."""
         raise TypeError(f"{type(self).__name__} does nothing between steps")
+
+    def share(self, abreast: int) -> None:
+        """Leave room on the GPU for so many flows in all."""
+        if abreast != self.abreast:
+            self.abreast, self._step = abreast, None
+            self._launcher.invalidate_graphs()
 
     def take(self, steps: int) -> None:
         """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
@@ -123,13 +132,14 @@ class _Run:
     def _flow(self) -> Stepping:
         return self.simulation.stepper
 
-    def begin(self) -> None:
+    def begin(self, abreast: int) -> None:
         """Up to where it wants to take steps. Raises :class:`CapacityError` if the device has no room for it now."""
         simulation = self.simulation
         if self.checkpoint is not None:
             simulation.resume(self.checkpoint)
         elif not simulation.prepared:
             simulation.prepare()
+        self._flow.share(abreast)
         self._coroutine = simulation.running()
         self._go_on(None)
 
@@ -199,13 +209,14 @@ def run_abreast(
 
 def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
     left, under_way, full = list(everyone), [], False
+    abreast = min(len(everyone), ABREAST)
     while left or under_way:
         while left and len(under_way) < ABREAST and not full:
             run = left[0]
             try:
                 if run.simulation.stop_requested:
                     raise KeyboardInterrupt
-                run.begin()
+                run.begin(abreast)
             except CapacityError as error:
                 run.simulation.release()
                 if under_way:

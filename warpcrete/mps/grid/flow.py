@@ -15,13 +15,10 @@ import numpy as np
 import warp as wp
 
 from ...core.device import parallel
-from ...core.launching import Launcher, Loop, Stage, Step, members, parameter_names
+from ...core.launching import Launcher, Stage, Step, parameter_names
 from ...kernels.common.reductions import BLOCK
-from ...kernels.mps.block_solver import WIDE, block_solver, in_one_block
 from ...kernels.mps.conjugate_gradient import (
     OUTCOME,
-    parallel_iteration,
-    parallel_start,
     serial_solver,
 )
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
@@ -30,8 +27,9 @@ from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.motion import finish
+from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
-from ..stages import LEAST_PRESSURE, LOOPED, VELOCITY_ERROR
+from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
@@ -52,11 +50,6 @@ class System:
     """A struct `Solve` of numbers."""
     numbers: Any
     """A struct `Flow`, of which solves read the count."""
-
-    @property
-    def blocks(self) -> int:
-        """Of a GPU's threads."""
-        return -(-self.rows // BLOCK)
 
 
 class GridFlow(Stepping):
@@ -94,7 +87,7 @@ class GridFlow(Stepping):
         matrix = structs.Matrix()
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
-            if name != "near_capacity":
+            if name not in ("near_capacity", "bound", "grains"):
                 # What would bind rows of vectors to walls has none here.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
@@ -106,7 +99,13 @@ class GridFlow(Stepping):
         """Working arrays of a solve."""
         structs = array_structs(self.scalar, 2)
         solve = structs.NumberSolve()
-        sizes = {"partial": 3 * -(-rows // BLOCK), "numbers": 3, "outcome": OUTCOME, "history": HISTORY, "going": 1}
+        sizes = {
+            "partial": 3 * -(-rows // BLOCK),
+            "outcome": OUTCOME,
+            "history": HISTORY,
+            "direction": rows * (2 if self.parallel else 1),
+            "preconditioned": rows if self.parallel else 0,
+        }
         for name in structs.NumberSolve.vars:
             setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))
         return solve
@@ -253,26 +252,15 @@ class GridFlow(Stepping):
         named = {
             "flow": system.numbers, "what": what, "tolerance": tolerance, "absolute_tolerance": absolute,
             "maximum": self.scene.maximum_iterations, "matrix": system.matrix, "system": system.arrays, "x": x,
-            "count": system.rows, "blocks": system.blocks, "gate": self._launcher.gate, "flags": self.flags,
+            "count": system.rows, "gate": self._launcher.gate, "flags": self.flags,
             "parts": 1, "lower": 0, "upper": 1, "workers": 1,
         }  # fmt: skip
-
-        def stage(kernel: Any, tasks: int, block: int = BLOCK, **more: Any) -> Stage:
-            given = named | members(kernel, matrix=system.matrix, system=system.arrays) | more
-            own = {name: given[name] for name in parameter_names(kernel)}
-            return Stage(kernel, tasks, own, self.device, block=block if self.parallel else None)
-
-        if not self.parallel:
-            return [stage(serial_solver(*kind), 1)]
-        if in_one_block(self.scalar, system.rows, system.matrix.near_capacity):
-            return [stage(block_solver(*kind), WIDE, WIDE)]
-        begin, ready = parallel_start(*kind)
-        multiply, update, direct = parallel_iteration(*kind)
-        whole = BLOCK * system.blocks
-        body = []
-        for now in (0, 1) * (LOOPED // 2):
-            body += [stage(multiply, whole), stage(update, whole, now=now), stage(direct, whole, now=now)]
-        return [stage(begin, whole), stage(ready, BLOCK), Loop(system.arrays.going, body)]
+        kernel, tasks, block = serial_solver(*kind), 1, None
+        if self.parallel:
+            block, parties = resident_blocks(self.device, system.rows, self.abreast)
+            named["parties"] = parties
+            kernel, tasks = resident_solver(*kind, width=block), block * parties
+        return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
 
     def solves(self) -> dict[int, Any]:
         """Working arrays of its solves, by what they solve for."""
