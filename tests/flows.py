@@ -55,10 +55,11 @@ def forces(flow):
         stage()
 
 
-def two_phase_flow(device, dimensions=2):
+def two_phase_flow(device, dimensions=2, **parameters):
     """Grains and mortar of quite different densities, at the start."""
+    spacing = 5e-3 if dimensions == 2 else 10e-3
     scene = SCENES[dimensions](
-        spacing=5e-3 if dimensions == 2 else 10e-3, aggregates=True, aggregate_density=5000.0, aggregate_fraction=0.15
+        spacing=spacing, aggregates=True, aggregate_density=5000.0, aggregate_fraction=0.15, **parameters
     )
     if dimensions == 3:
         large = dataclasses.replace(scene.aggregates, sizes=((20e-3, 30e-3, 1.0),))

@@ -198,10 +198,10 @@ def test_blocks_that_wait_for_one_another_have_room_at_once(kind, scalar, tmp_pa
 
 def test_blocks_of_a_solve_are_no_more_than_it_has_work_for_or_the_gpu_room():
     gpu = SimpleNamespace(is_cuda=True, sm_count=10)
-    asked = ((2048, 1), (2049, 1), (256_000, 1), (256_000, 4), (256_000, 31))
+    asked = ((2000, 20, 1), (2001, 20, 1), (256_000, 20, 1), (256_000, 20, 4), (256_000, 20, 31))
     given = [resident_solver.resident_blocks(gpu, *one) for one in asked]
-    assert given == [(1024, 1), (256, 9), (256, 30), (256, 7), (256, 1)]
-    assert resident_solver.resident_blocks(SimpleNamespace(is_cuda=False, sm_count=0), 256_000, 1) == (256, 1)
+    assert given == [(1024, 1), (256, 8), (256, 30), (256, 7), (256, 1)]
+    assert resident_solver.resident_blocks(SimpleNamespace(is_cuda=False, sm_count=0), 256_000, 20, 1) == (256, 1)
 
 
 @pytest.mark.parametrize("name", FLOWS)

@@ -75,12 +75,62 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 
 @functools.cache
+def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
+    """What a thread does for rows, `begin` and `update`, or for grains, `share`; all give what they add to sums."""
+    f = solver_functions(scalar, dimensions, vector)
+    Solve, value = f.Solve, f.value
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.func
+    def begin(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve):
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for i in range(first, end):
+            z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+            system.direction[i] = z
+            rz += f.inner(system.residual[i], z)
+            rr += f.inner(system.residual[i], system.residual[i])
+        return rz, rr
+
+    @wp.func
+    def update(
+        first: wp.int32, end: wp.int32, alpha: scalar, matrix: Matrix, system: Solve, x: wp.array(dtype=value)
+    ):  # fmt: skip
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for i in range(first, end):
+            x[i] = x[i] + alpha * system.direction[i]
+            left = system.residual[i] - alpha * system.product[i]
+            system.residual[i] = left
+            if not wp.static(rigid) or i >= matrix.bound:
+                z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+                system.product[i] = z
+                rz += f.inner(left, z)
+                rr += f.inner(left, left)
+        return rz, rr
+
+    @wp.func
+    def share(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve, z: wp.array(dtype=value)):
+        """Grains' part of `z`, the preconditioned residual."""
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if wp.static(rigid):
+            for g in range(first, end):
+                inner, square = f.share(g, matrix.grains, matrix.position, system.residual, z)
+                rz += inner
+                rr += square
+        return rz, rr
+
+    return SimpleNamespace(begin=begin, update=update, share=share)
+
+
+@functools.cache
 def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     """Kernel of one task a thread: the whole solve; adds to `x`.
 
     Rows are in `parts` chunks, of which a thread takes those from `lower` to `upper`; there are `workers` threads.
     """
-    f = solver_functions(scalar, dimensions, vector)
+    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -116,20 +166,13 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
             bound = matrix.bound
             bodies = matrix.grains.mobility.shape[0]
         for part in range(lower, upper):
-            own_rz = wp.float64(0.0)
-            own_rr = wp.float64(0.0)
-            for i in range(wp.max(flow.count * part / parts, bound), flow.count * (part + 1) / parts):
-                z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-                system.direction[i] = z
-                own_rz += f.inner(system.residual[i], z)
-                own_rr += f.inner(system.residual[i], system.residual[i])
-            if wp.static(rigid):
-                for g in range(bodies * part / parts, bodies * (part + 1) / parts):
-                    inner, square = f.share(g, matrix.grains, matrix.position, system.residual, system.direction)
-                    own_rz += inner
-                    own_rr += square
-            system.partial[part] = own_rz
-            system.partial[parts + part] = own_rr
+            first = wp.max(flow.count * part / parts, bound)
+            own_rz, own_rr = rows.begin(first, flow.count * (part + 1) / parts, matrix, system)
+            grain_rz, grain_rr = rows.share(
+                bodies * part / parts, bodies * (part + 1) / parts, matrix, system, system.direction
+            )
+            system.partial[part] = own_rz + grain_rz
+            system.partial[parts + part] = own_rr + grain_rr
         meet(gate, workers)
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
@@ -160,30 +203,19 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
                 break
             alpha = scalar(rz / pq)
             for part in range(lower, upper):
-                own_rz = wp.float64(0.0)
-                own_rr = wp.float64(0.0)
-                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
-                    x[i] = x[i] + alpha * system.direction[i]
-                    left = system.residual[i] - alpha * system.product[i]
-                    system.residual[i] = left
-                    if not wp.static(rigid) or i >= bound:
-                        z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-                        system.product[i] = z
-                        own_rz += f.inner(left, z)
-                        own_rr += f.inner(left, left)
+                own_rz, own_rr = rows.update(
+                    flow.count * part / parts, flow.count * (part + 1) / parts, alpha, matrix, system, x
+                )
                 system.partial[part] = own_rz
                 system.partial[parts + part] = own_rr
             meet(gate, workers)
             if wp.static(rigid):
                 for part in range(lower, upper):
-                    own_rz = system.partial[part]
-                    own_rr = system.partial[parts + part]
-                    for g in range(bodies * part / parts, bodies * (part + 1) / parts):
-                        inner, square = f.share(g, matrix.grains, matrix.position, system.residual, system.product)
-                        own_rz += inner
-                        own_rr += square
-                    system.partial[part] = own_rz
-                    system.partial[parts + part] = own_rr
+                    grain_rz, grain_rr = rows.share(
+                        bodies * part / parts, bodies * (part + 1) / parts, matrix, system, system.product
+                    )
+                    system.partial[part] += grain_rz
+                    system.partial[parts + part] += grain_rr
                 meet(gate, workers)
             rz_after = wp.float64(0.0)
             rr = wp.float64(0.0)

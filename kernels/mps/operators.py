@@ -16,6 +16,10 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types, row_p
 
 FREE = wp.constant(0.9)
 """Part of the lattice's sum of weights below which a particle may lie at the free surface."""
+NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
+"""Particles nearer to a wall than this part of a spacing, which stand there in the lattice at a half, get this times
+their diagonal in the pressure's equation: what their increments give back to their own divergence, from the velocity
+that goes on behind the wall, else grows past twice of it, and pressures swing from step to step."""
 BENEATH = {2: 0.2, 3: 0.15}
 """Part of that sum, in spacings, by which its neighbours must lie beneath it on balance. In a lattice's surface they
 do by 0.33 and 0.28; under a hole of one particle in the inside, where nothing is free, by 0.17 and 0.08."""
@@ -135,7 +139,24 @@ def moments_function(scalar, dimensions: int, serial: bool):
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
-    return SimpleNamespace(Moments=Moments, moments=moments)
+    @wp.func
+    def open_above(i: wp.int32, flow: Flow, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
+        """1 if no fluid is above a particle, within half a right angle and the widest reach.
+
+        Beneath a hole in the inside, however wide, there is some on its other side.
+        """
+        x = position[i]
+        for k in range(lists.near_count[i]):
+            d = position[lists.near[place(i, k, flow.count, lists.near_capacity)]] - x
+            if d[last] > scalar(0.7) * wp.length(d):
+                return wp.int32(0)
+        for k in range(lists.far_count[i]):
+            d = position[lists.far[place(i, k, flow.count, lists.far_capacity)]] - x
+            if d[last] > scalar(0.7) * wp.length(d):
+                return wp.int32(0)
+        return wp.int32(1)
+
+    return SimpleNamespace(Moments=Moments, moments=moments, open_above=open_above)
 
 
 @functools.cache
@@ -149,6 +170,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Lists, Fields, Matrix, Solve = structs.Lists, structs.Fields, structs.Matrix, structs.NumberSolve
+    open_above = moments_function(scalar, dimensions, serial).open_above
     moments = moments_function(scalar, dimensions, serial).moments
     rheology = rheology_functions(scalar, dimensions)
     rate_of, apparent_viscosity = rheology.rate_of, rheology.apparent
@@ -186,7 +208,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             surface = wp.int32(0)
             beneath = scalar(wp.static(BENEATH[dimensions])) * flow.lattice_number * flow.spacing
             if m.whole_number < scalar(FREE) * flow.lattice_number and m.above < -beneath:
-                surface = wp.int32(1)
+                surface = open_above(i, flow, particle_position, lists)
             matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
@@ -396,6 +418,8 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                         jump[last] = jump[last] - (v[last] - flow.piston_speed) * (beneath - y[last]) / beneath
                     change += wp.outer(f.weight(r, flow.cutoff) * jump, d)
             sum_of_slopes = wp.trace(change * fields.whole_inverse[i])
+            if flow.radius - wp.length(f.across(x)) < scalar(NEARER) * flow.spacing:
+                total *= scalar(DAMPED)
             matrix.diagonal[i] = total
             projection.residual[i] = -flow.density / flow.dt * sum_of_slopes
             if matrix.free[i] != 0:

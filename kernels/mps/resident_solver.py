@@ -3,10 +3,11 @@
 Rows are in chunks of a block's threads, each of which forms one partial sum; blocks share out chunks. So sums are the
 same to the bit however many blocks there are, and a flow may have many of them while it is alone and few beside others.
 Nobody launches iterations, so solves of many flows go on at once. A small system has one wide block, which waits for
-nobody. `conjugate_gradient.py` has what a row is.
+nobody and keeps its sums to itself. `conjugate_gradient.py` has what a row is.
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
@@ -18,15 +19,16 @@ from .structs import array_structs
 
 RESIDENT = 3
 """Blocks that a multiprocessor surely has room for at once: their kernel takes 85 registers a thread at most."""
-WIDE, SMALL = 1024, 2048
-"""Threads of the one block of a small system, and its rows at most."""
+WIDE, SMALL = 1024, 40_000
+"""Threads of the one block of a small system, and its matrix's entries at most."""
 
 
-def resident_blocks(device, rows: int, abreast: int) -> tuple[int, int]:
+def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
     """Threads of a block, and blocks that a solve gets of a device, `abreast` of which may run at once."""
-    if rows <= SMALL or not device.is_cuda:
-        return WIDE if rows <= SMALL else BLOCK, 1
-    return BLOCK, max(1, min(-(-rows // BLOCK), RESIDENT * device.sm_count // abreast))
+    if rows * near_capacity <= SMALL:
+        return WIDE, 1
+    room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1
+    return BLOCK, max(1, min(-(-rows // BLOCK), room))
 
 
 GATHER = """
@@ -53,15 +55,106 @@ def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
 
 
 @functools.cache
-def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
-    """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`."""
-    keep, total = block_sums(width).keep, block_sums(width).total
+def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
+    """What a thread does for its row, or grain, in a solve; each gives what it adds to the sums.
+
+    `begin` and `update` give inner products of residual and preconditioned residual, and of the residual with itself;
+    so does `share` for a grain; `multiply` that of direction and product.
+    """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
     product = directed_product(scalar, value)
 
-    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, RESIDENT if width == BLOCK else 1))
+    @wp.func
+    def begin(i: wp.int32, count: wp.int32, matrix: Matrix, system: Solve):
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        mine = i < count
+        if wp.static(rigid):
+            mine = mine and i >= matrix.bound
+        if mine:
+            z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+            system.preconditioned[i] = z
+            rz = f.inner(system.residual[i], z)
+            rr = f.inner(system.residual[i], system.residual[i])
+        return rz, rr
+
+    @wp.func
+    def multiply(
+        i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve
+    ) -> wp.float64:
+        """`old` is where the last directions begin; neighbours' new ones are formed anew: nobody waits for them."""
+        if i >= count:
+            return wp.float64(0.0)
+        own = system.preconditioned[i] + beta * system.direction[old + i]
+        system.direction[count - old + i] = own
+        sum = matrix.diagonal[i] * own - product(
+            matrix.near, matrix.coefficient, system.preconditioned, system.direction, beta, old, i, count,
+            matrix.near_count[i],
+        )  # fmt: skip
+        sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
+        system.product[i] = sum
+        return f.inner(own, sum)
+
+    @wp.func
+    def update(
+        i: wp.int32, count: wp.int32, alpha: scalar, old: wp.int32, matrix: Matrix, system: Solve,
+        x: wp.array(dtype=value),
+    ):  # fmt: skip
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if i < count:
+            x[i] = x[i] + alpha * system.direction[count - old + i]
+            left = system.residual[i] - alpha * system.product[i]
+            system.residual[i] = left
+            if not wp.static(rigid) or i >= matrix.bound:
+                z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
+                system.preconditioned[i] = z
+                rz = f.inner(left, z)
+                rr = f.inner(left, left)
+        return rz, rr
+
+    @wp.func
+    def share(g: wp.int32, matrix: Matrix, system: Solve):
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if wp.static(rigid):
+            if g < matrix.grains.mobility.shape[0]:
+                rz, rr = f.share(g, matrix.grains, matrix.position, system.residual, system.preconditioned)
+        return rz, rr
+
+    return SimpleNamespace(begin=begin, multiply=multiply, update=update, share=share)
+
+
+@functools.cache
+def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
+    """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
+    alone = width == WIDE
+    keep, total = block_sums(width).keep, block_sums(width).total
+    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
+    Solve, value = f.Solve, f.value
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.func
+    def kept(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64) -> wp.float64:
+        """What a thread itself adds up: all if its block is alone, else nothing, as blocks keep sums of chunks."""
+        if wp.static(alone):
+            return own
+        else:
+            keep(thread, partial, first, own)
+            return wp.float64(0.0)
+
+    @wp.func
+    def summed(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
+        """Over all threads; all must have waited for one another."""
+        if wp.static(alone):
+            whole = wp.tile_sum(wp.tile(own))
+            return whole[0]
+        else:
+            return total(lane, partial, first, sums)
+
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if alone else RESIDENT))
     def solve(
         # what is solved, and how well
         count: wp.int32,
@@ -86,33 +179,20 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         # Partial sums: of chunks of rows, then of chunks of grains.
         blocks = (count + width - 1) / width
         sums = blocks
-        bound = wp.int32(0)
         if wp.static(rigid):
-            bound = matrix.bound
             sums += (matrix.grains.mobility.shape[0] + width - 1) / width
-        for chunk in range(block, blocks, parties):
-            i = chunk * width + lane
-            own_rz = wp.float64(0.0)
-            own_rr = wp.float64(0.0)
-            if i >= bound and i < count:
-                z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-                system.preconditioned[i] = z
-                own_rz = f.inner(system.residual[i], z)
-                own_rr = f.inner(system.residual[i], system.residual[i])
-            keep(i, system.partial, 0, own_rz)
-            keep(i, system.partial, sums, own_rr)
-        if wp.static(rigid):
-            for chunk in range(block, sums - blocks, parties):
-                g = chunk * width + lane
-                own_rz = wp.float64(0.0)
-                own_rr = wp.float64(0.0)
-                if g < matrix.grains.mobility.shape[0]:
-                    own_rz, own_rr = f.share(g, matrix.grains, matrix.position, system.residual, system.preconditioned)
-                keep(g, system.partial, blocks, own_rz)
-                keep(g, system.partial, sums + blocks, own_rr)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for chunk in range(block, sums, parties):
+            if chunk < blocks:
+                own_rz, own_rr = row.begin(chunk * width + lane, count, matrix, system)
+            else:
+                own_rz, own_rr = row.share((chunk - blocks) * width + lane, matrix, system)
+            rz += kept(chunk * width + lane, system.partial, 0, own_rz)
+            rr += kept(chunk * width + lane, system.partial, sums, own_rr)
         gather(gate, parties)
-        rz = total(lane, system.partial, 0, sums)
-        rr = total(lane, system.partial, sums, sums)
+        rz = summed(rz, lane, system.partial, 0, sums)
+        rr = summed(rr, lane, system.partial, sums, sums)
         start = wp.sqrt(rr)
         goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
         done = wp.int32(0)
@@ -122,56 +202,30 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
             rr = wp.float64(0.0)
             goal = wp.float64(0.0)
         while rr > goal and done < maximum:
+            pq = wp.float64(0.0)
             for chunk in range(block, blocks, parties):
-                i = chunk * width + lane
-                own_pq = wp.float64(0.0)
-                if i < count:
-                    # Neighbours' new directions are formed anew, which spares a wait for them.
-                    own = system.preconditioned[i] + beta * system.direction[old + i]
-                    system.direction[count - old + i] = own
-                    sum = matrix.diagonal[i] * own - product(
-                        matrix.near, matrix.coefficient, system.preconditioned, system.direction, beta, old, i, count,
-                        matrix.near_count[i],
-                    )  # fmt: skip
-                    sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
-                    system.product[i] = sum
-                    own_pq = f.inner(own, sum)
-                keep(i, system.partial, 2 * sums, own_pq)
+                own_pq = row.multiply(chunk * width + lane, count, beta, old, matrix, system)
+                pq += kept(chunk * width + lane, system.partial, 2 * sums, own_pq)
             gather(gate, parties)
-            pq = total(lane, system.partial, 2 * sums, blocks)
+            pq = summed(pq, lane, system.partial, 2 * sums, blocks)
             alpha = scalar(0.0)
             if pq > wp.float64(0.0):
                 alpha = scalar(rz / pq)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
             for chunk in range(block, blocks, parties):
-                i = chunk * width + lane
-                own_rz = wp.float64(0.0)
-                own_rr = wp.float64(0.0)
-                if i < count:
-                    x[i] = x[i] + alpha * system.direction[count - old + i]
-                    left = system.residual[i] - alpha * system.product[i]
-                    system.residual[i] = left
-                    if not wp.static(rigid) or i >= bound:
-                        z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
-                        system.preconditioned[i] = z
-                        own_rz = f.inner(left, z)
-                        own_rr = f.inner(left, left)
-                keep(i, system.partial, 0, own_rz)
-                keep(i, system.partial, sums, own_rr)
+                own_rz, own_rr = row.update(chunk * width + lane, count, alpha, old, matrix, system, x)
+                rz_after += kept(chunk * width + lane, system.partial, 0, own_rz)
+                rr += kept(chunk * width + lane, system.partial, sums, own_rr)
             if wp.static(rigid):
                 gather(gate, parties)
-                for chunk in range(block, sums - blocks, parties):
-                    g = chunk * width + lane
-                    own_rz = wp.float64(0.0)
-                    own_rr = wp.float64(0.0)
-                    if g < matrix.grains.mobility.shape[0]:
-                        own_rz, own_rr = f.share(
-                            g, matrix.grains, matrix.position, system.residual, system.preconditioned
-                        )
-                    keep(g, system.partial, blocks, own_rz)
-                    keep(g, system.partial, sums + blocks, own_rr)
+                for chunk in range(blocks + block, sums, parties):
+                    own_rz, own_rr = row.share((chunk - blocks) * width + lane, matrix, system)
+                    rz_after += kept(chunk * width + lane, system.partial, 0, own_rz)
+                    rr += kept(chunk * width + lane, system.partial, sums, own_rr)
             gather(gate, parties)
-            rz_after = total(lane, system.partial, 0, sums)
-            rr = total(lane, system.partial, sums, sums)
+            rz_after = summed(rz_after, lane, system.partial, 0, sums)
+            rr = summed(rr, lane, system.partial, sums, sums)
             beta = scalar(rz_after / rz)
             rz = rz_after
             old = count - old

@@ -197,6 +197,6 @@ class StepPart:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
             return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
-        width, parties = resident_blocks(p.device, p.count, p.abreast)
+        width, parties = resident_blocks(p.device, p.count, p.matrix.near_capacity, p.abreast)
         named = {"what": what, "maximum": maximum, "system": system, "x": x, "parties": parties, **goal}
         return [p.stage(resident_solver(*kind, width), width * parties, block=width, **named)]

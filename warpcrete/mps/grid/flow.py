@@ -257,7 +257,7 @@ class GridFlow(Stepping):
         }  # fmt: skip
         kernel, tasks, block = serial_solver(*kind), 1, None
         if self.parallel:
-            block, parties = resident_blocks(self.device, system.rows, self.abreast)
+            block, parties = resident_blocks(self.device, system.rows, system.matrix.near_capacity, self.abreast)
             named["parties"] = parties
             kernel, tasks = resident_solver(*kind, width=block), block * parties
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
