@@ -60,6 +60,7 @@ class FlowWatch(Declared):
         float | None, "of the pressure by theory, how high or low that on the piston may be; None: no limit", Above()
     ] = 10.0
     speed: Annotated[float | None, "of the fastest particle, over the highest by theory; None: no limit", Above()] = 4.0
+    volume: Annotated[float | None, "of the concrete's that is lost or won, part; None: no limit", Above()] = 0.015
 
 
 @dataclass(frozen=True, kw_only=True)

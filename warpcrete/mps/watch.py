@@ -11,6 +11,7 @@ from .theory import velocity
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns that are numbers in every row of a flow that means anything."""
 CURES = "a smaller time step, a finer spacing, precision float64"
+OF_COLUMNS = "; for concrete that is sheared, ends = periodic"
 
 
 class WatchedFlow:
@@ -18,6 +19,7 @@ class WatchedFlow:
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
+        self.cures = CURES + (OF_COLUMNS if scene.ends == "piston" else "")
         theory = scene.theory()
         self.pressure = theory.pressure
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
@@ -38,6 +40,10 @@ class WatchedFlow:
                 row, f"the pressure on the piston is {row['pressure']:.4g} Pa where theory has {self.pressure:.4g} Pa "
                 f"(watch.pressure = {limits.pressure:g})"
             )  # fmt: skip
+        if limits.volume is not None and abs(row["volume_error"]) > limits.volume:
+            raise self._unstable(
+                row, f"{abs(row['volume_error']):.3g} of the volume is lost or won (watch.volume = {limits.volume:g})"
+            )  # fmt: skip
         balance = row["force_balance_error"]
         # In the first row the wall bears nothing yet.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
@@ -46,6 +52,5 @@ class WatchedFlow:
                 f"{limits.force_balance:g})"
             )  # fmt: skip
 
-    @staticmethod
-    def _unstable(row: dict[str, float], what: str) -> InstabilityError:
-        return InstabilityError(f"t = {row['time']:.6g} s: {what}; usual cures: {CURES}")
+    def _unstable(self, row: dict[str, float], what: str) -> InstabilityError:
+        return InstabilityError(f"t = {row['time']:.6g} s: {what}; usual cures: {self.cures}")
