@@ -2,6 +2,8 @@
 
 from conftest import verification
 
-from warpcrete.verification import vessels
+from warpcrete.verification import spreading, starting, vessels
 
 test_vessels = verification(vessels)
+test_spreading = verification(spreading)
+test_starting = verification(starting)

@@ -20,8 +20,9 @@ from ..core.launching import Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
 from ..kernels.mps.conjugate_gradient import serial_solver
+from ..kernels.mps.moments import geometry_kernel
 from ..kernels.mps.motion import advance_kernel, finish, shift_kernel
-from ..kernels.mps.operators import divergence_kernel, geometry_kernel, gradient_kernel, momentum_kernel
+from ..kernels.mps.operators import divergence_kernel, gradient_kernel, momentum_kernel
 from ..kernels.mps.resident_solver import resident_blocks, resident_solver
 from ..kernels.mps.rigid import bodies_kernel, places_kernel, velocities_kernel
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from ..core.errors import WarpcreteError
-from . import assemblies, bonds, clumps, contacts, flows, impacts, stability, vessels
+from . import assemblies, bonds, clumps, contacts, flows, impacts, spreading, stability, starting, vessels
 from .case import Case, Row
 
 __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
@@ -18,7 +18,7 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 def cases() -> list[Case]:
     """All cases, in the order of the table."""
-    modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows, vessels)
+    modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading)
     return [case for module in modules for case in module.CASES]
 
 

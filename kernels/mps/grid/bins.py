@@ -22,6 +22,13 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
     vec, whole = t.vec, t.whole
     around = 3**dims
 
+    @wp.func
+    def level(crowd: scalar) -> scalar:
+        """How high a flat surface stands in a cell whose middle has such a crowd around it; 0 and 1 are its faces."""
+        if crowd < scalar(0.5):
+            return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
+        return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
+
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
         """A task a slot: no particles."""
@@ -95,7 +102,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
                             near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
                         sum += near * particles.mass[p]
             crowd = sum * g.volume / geometry.hold[number]
-            part = wp.clamp(scalar(0.5) + scalar(1.5) * (crowd - scalar(0.5)), scalar(0.0), scalar(1.0))
+            part = wp.clamp(level(crowd), scalar(0.0), scalar(1.0))
         mesh.crowd[number] = crowd
         mesh.fill[number] = part
         mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)

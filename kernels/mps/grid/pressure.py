@@ -7,7 +7,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ...common.reductions import keep, total
-from ..structs import array_structs, row_place
+from ..structs import array_structs, mps_types, row_place
 from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
 
 CORRECTED = 0.1
@@ -106,6 +106,25 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
     Mesh, Geometry = structs.Mesh, structs.Geometry
     Solve = array_structs(scalar, 2).NumberSolve
     f = grid_functions(scalar, of)
+    whole = mps_types(scalar, dims).whole
+
+    @wp.func
+    def missing(g: Cells, mesh: Mesh, c: whole) -> scalar:
+        """What a crowd lacks of 1 because cells around are not full, if these are filled evenly."""
+        sum = scalar(0.0)
+        for n in range(wp.static(3**dims)):
+            o = whole()
+            rest = n
+            part = scalar(1.0)
+            for b in range(dims):
+                by = rest % 3 - 1
+                rest = rest / 3
+                o[b] = c[b] + by
+                part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
+            near = f.at(g, o)
+            if mesh.solid[near] == OPEN:
+                sum += part * (scalar(1.0) - mesh.fill[near])
+        return sum
 
     @wp.kernel(enable_backward=False, module="unique")
     def source(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, projection: Solve):
@@ -118,13 +137,9 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         if mesh.liquid[number] != 0:
             excess = mesh.crowd[number] - scalar(1.0)
             if excess < scalar(0.0):
-                # Less than full may be the surface's right.
-                if mesh.fill[number] < scalar(1.0):
-                    excess = scalar(0.0)
-                for n in range(2 * dims):
-                    o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))
-                    if mesh.solid[o] == OPEN and mesh.fill[o] < scalar(1.0):
-                        excess = scalar(0.0)
+                # Less than full may be the surface's right: so much as its cells, evenly filled, would leave here.
+                excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
+                excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
             excess *= scalar(CORRECTED) * geometry.room[number] * f.cell_volume(g, c) / g.dt
         projection.residual[number] = g.density / g.dt * excess

@@ -164,7 +164,7 @@ def extend_kernel(scalar, of: Kind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, again: wp.int32,
+        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, again: wp.int32, final: wp.int32,
         before: wp.array(dtype=scalar), known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar),
         known_after: wp.array(dtype=wp.int32),
     ):  # fmt: skip
@@ -203,6 +203,8 @@ def extend_kernel(scalar, of: Kind):
                     good = 1
             after[r] = value
             known_after[r] = good
+            if final != 0 and good != 0 and mesh.kind[r] == AIR:
+                mesh.velocity[r] = value  # for concrete that comes there before its particles do
 
     return extend
 

@@ -9,6 +9,7 @@ import numpy as np
 from ...core.run_loop import Run
 from ...core.units import number
 from .scene import FreeScene
+from .theory import heap_depth
 
 
 def plot_free(run: Run) -> Any:
@@ -28,13 +29,13 @@ def plot_free(run: Run) -> Any:
     corners = 1e3 * np.clip(np.array([*scene.outline, scene.outline[0]]), 0.0, [scene.width, scene.height])
     for side in (1, -1) if scene.axial else (1,):
         shape.plot(side * corners[:, 0], corners[:, 1], color="0.4", linewidth=0.8, linestyle=":")
-    if scene.axial and "spread_theory" in run.result and scene.concrete.yield_stress > 0:
-        half = 0.5e3 * number(run.result["spread_theory"])
+    if "spread_heap" in run.result:
+        half, concrete = 0.5 * number(run.result["spread_heap"]), scene.concrete
         r = np.linspace(0, half, 100)
-        slope = 2 * scene.concrete.yield_stress / (scene.concrete.density * scene.gravity) * 1e3
+        depth = heap_depth(half - r, concrete.yield_stress, concrete.density, scene.gravity)
         for side in (1, -1):
-            shape.plot(side * r, np.sqrt(slope * (half - r)), color="k", linestyle="--", linewidth=0.8,
-                       label="long heap, closed form" if side == 1 else None)  # fmt: skip
+            shape.plot(1e3 * side * np.r_[r, half], 1e3 * np.r_[depth, 0.0], color="k", linestyle="--", linewidth=0.8,
+                       label="heap, closed form" if side == 1 else None)  # fmt: skip
     shape.set(aspect="equal", xlabel="[mm]", ylabel="height [mm]")
     shape.legend(frameon=False, fontsize=8)
     for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.axial else ())):

@@ -12,7 +12,7 @@ from ...core.method import Quantity
 from ...core.run_loop import Run
 from ...core.units import number
 from .scene import FreeScene
-from .theory import box_at_rest, funnel_time, long_heap_spread, tall_cone_slump
+from .theory import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 
 T500 = 0.5
 """Spread whose time is told [m] (EN 12350-8)."""
@@ -89,6 +89,26 @@ def _spread_of_theory(k: Known) -> float | None:
     return long_heap_spread(whole, concrete.yield_stress, concrete.density, k.scene.gravity)
 
 
+def _heap(k: Known) -> tuple[float, float] | None:
+    """Reach and depth of a heap that resists its stretch; None where it would not be wider than high."""
+    concrete = k.scene.concrete
+    if not k.is_slump or concrete.yield_stress == 0:
+        return None
+    whole = 2 * math.pi * k.volume
+    reach, depth = heap_at_rest(whole, concrete.yield_stress, concrete.density, k.scene.gravity)
+    return (reach, depth) if reach > depth else None
+
+
+def _spread_of_heap(k: Known) -> float | None:
+    found = _heap(k)
+    return 2 * found[0] if found else None
+
+
+def _slump_of_heap(k: Known) -> float | None:
+    found = _heap(k)
+    return k.cone[2] - found[1] if found else None
+
+
 def funnel_estimate(scene: FreeScene) -> float | None:
     """Time in which a funnel's scene empties by closed forms [s]; None where the yield stress holds it."""
     size, concrete = scene.dimensions, scene.concrete
@@ -125,21 +145,23 @@ def _ratio_words(run: Run) -> str:
     return f"{run.result['passing_ratio']:.2f}   (slow flow, no bars: {run.result['passing_ratio_theory']:.2f})"
 
 
-def _with_theory(name: str, form: str):
+def _with_theory(name: str, **forms: str):
     def words(run: Run) -> str:
-        theory = run.result.get(f"{name}_theory")
-        beside = f"   ({form}: {1e3 * number(theory):.0f} mm)" if theory else ""
-        return f"{1e3 * number(run.result[name]):.1f} mm{beside}"
+        found = [(form, run.result.get(f"{name}_{key}")) for key, form in forms.items()]
+        beside = ", ".join(f"{form}: {1e3 * number(theory):.0f} mm" for form, theory in found if theory)
+        return f"{1e3 * number(run.result[name]):.1f} mm" + (f"   ({beside})" if beside else "")
 
     return words
 
 
 QUANTITIES = (
-    Quantity("slump", "m", _slump, "slump", _with_theory("slump", "tall cone"), True),
+    Quantity("slump", "m", _slump, "slump", _with_theory("slump", theory="tall cone", heap="heap"), True),
     Quantity("slump_theory", "m", _slump_of_theory),
+    Quantity("slump_heap", "m", _slump_of_heap),
     Quantity("spread", "m", lambda k: k.last("spread") if k.is_slump else None, "spread",
-             _with_theory("spread", "long heap"), True),
+             _with_theory("spread", heap="heap", theory="long heap"), True),
     Quantity("spread_theory", "m", _spread_of_theory),
+    Quantity("spread_heap", "m", _spread_of_heap),
     Quantity("t500", "s", lambda k: k.when("spread", T500) if k.is_slump else None, "T500", None, True),
     Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True) if k.is_funnel else None, "funnel time",
              _with_time("funnel_time", "ducts in a row"), True),

@@ -1,7 +1,9 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
-A long heap rests where the weight of its slope is borne by the plate (Roussel & Coussot 2005); a tall one where each
-layer has grown wide enough to bear what is above it (Murata 1984; for cones Schowalter & Christensen 1998). Murata's
+A long heap rests where the weight of its slope is borne by the plate (Roussel & Coussot 2005), and sooner, by the next
+order of shallow theory, as it resists its stretch too (in a plane Dubash, Balmforth, Slim & Cochard 2009; about an axis
+here); a tall one where each layer has grown wide enough to bear what is above it (Murata 1984; for cones Schowalter &
+Christensen 1998). Murata's
 concrete yields where the largest shear stress is the yield stress, half of what presses (Tresca); a Bingham fluid in
 three dimensions does where the invariant of all stresses is (von Mises), at the root of a third of it.
 """
@@ -27,6 +29,57 @@ def cone_volume(top: float, base: float, height: float) -> float:
 def long_heap_spread(volume: float, yield_stress: float, density: float, gravity: float = 9.81) -> float:
     """Diameter of a heap much wider than high [m]: tau = 225 rho g V^2 / (128 pi^2 R^5) (Roussel & Coussot 2005)."""
     return 2 * (225 * density * gravity * volume**2 / (128 * math.pi**2 * yield_stress)) ** 0.2
+
+
+HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
+"""What resists the stretch of a heap that has just stopped, over yield stress and depth: normal stress along the slope
+less that across, on top of what weight makes of both, summed over the depth.
+
+Shear takes tau (1 - z / h) at the height z, the stretch what is left of the yield stress, the root of tau^2 - shear^2,
+whose mean over the depth is pi / 4 tau: twice that in a plane, where the normal stresses are s and -s; the root of 3 of
+it about the axis, where a heap that keeps its shape has s along the radius and around, -2 s upwards, and
+3 s^2 + shear^2 = tau^2.
+"""
+
+
+def heap_depth(
+    inward: np.ndarray, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
+) -> np.ndarray:
+    """Depth of a heap at rest at a distance inward from its front [m]: rho g h^2 / 2 = tau (inward + HEAPS h).
+
+    Weight presses outward, the plate holds with tau over the distance, the stretch with HEAPS tau on the section. The
+    long heap is that without the last. `form` is "plane" or "axial".
+    """
+    bears = yield_stress / (density * gravity)
+    front = HEAPS[form] * bears
+    return front + np.sqrt(front * front + 2 * bears * np.asarray(inward))
+
+
+def heap_at_rest(
+    volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
+) -> tuple[float, float]:
+    """Reach from the middle and depth there [m] of a wide heap that resists its stretch, inertia aside.
+
+    `volume` of the whole about an axis [m3], of one half by the metre in a plane [m2]. For heaps wider than high.
+    """
+
+    def held(reach: float) -> float:
+        place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
+        depth = heap_depth(reach - place, yield_stress, density, gravity, form)
+        return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
+
+    widest = 1.0
+    while held(widest) < volume:
+        widest *= 2
+    reach = _root(lambda x: held(x) - volume, 0.0, widest)
+    return reach, float(heap_depth(np.array(reach), yield_stress, density, gravity, form))
+
+
+def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
+    """How far a fluid without yield stress has come on a plate it sticks to [m], long after `volume` [m2] was let go:
+    1.411 (g V^3 / (3 nu))^(1/5) t^(1/5) (Huppert 1982), in a plane, to one side.
+    """
+    return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
 
 def tall_cone_slump(

@@ -178,7 +178,8 @@ class GridFlow(Stepping):
                 max(LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length, self._rounding),
             ),
             self.stage(pressure.project, slots),
-            *(self._drive() if layout.periodic else [] if self.full else self._disperse()),
+            *(self._drive() if layout.periodic and layout.held else []),
+            *([] if self.full else self._disperse()),
             *self._extend(extend_kernel(scalar, kind)),
             self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
             Stage(finish, 1, {"late": self.late, "flags": self.flags}, self.device),
@@ -215,8 +216,9 @@ class GridFlow(Stepping):
             to = (EXTENDED - 1 - turn) % 2
             found.append(
                 self.stage(
-                    kernel, self.state.slots, again=int(turn > 0), before=self._carried[1 - to],
-                    known_before=self._known[1 - to], after=self._carried[to], known_after=self._known[to],
+                    kernel, self.state.slots, again=int(turn > 0), final=int(turn == EXTENDED - 1),
+                    before=self._carried[1 - to], known_before=self._known[1 - to], after=self._carried[to],
+                    known_after=self._known[to],
                 )
             )  # fmt: skip
         return found

@@ -81,13 +81,16 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    corners = np.minimum(nearest(room.places([0.0] * axes, 1))[0], far)
-    open_part = _open(_corners(corners, range(axes)), axes)
-    mirror, index = np.zeros(depth.shape, bool), np.indices(depth.shape)
+    # Sides of the room lie along cells: in distances between corners they would round off what meets them aslant.
+    corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
+    mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
         for side, at in ((lower, 0), (upper, depth.shape[axis] - 1)):
             if side == MIRROR:
                 mirror |= index[axis] == at
+            if side == WALL:
+                beyond |= index[axis] == at
+    open_part = np.where(beyond, 0.0, _open(_corners(corners, range(axes)), axes))
     solid = np.where(mirror, SMOOTH, np.where(open_part < LEAST, number, NONE)).astype(np.int32)
     gap, part, shut, surface = [], [], [], []
     for axis in range(axes):
@@ -110,7 +113,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
     kept = np.where(solid == NONE, np.maximum(open_part, LEAST), 0.0)
-    hold = _hold(room, corners, mirror, axial)
+    hold = _hold(room, corners, mirror | beyond, axial)
     halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
     nook = np.where(solid == NONE, _quarters(corners), 0.0)
@@ -148,12 +151,12 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
 
 
 def nearest_wall(
-    room: Room, walls: Sequence[tuple[Distance, int]]
+    room: Room, walls: Sequence[tuple[Distance, int]], sides: bool = True
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Function of points, shape (..., axes) [m]: distance from the nearest wall, sides of the room included, and its
-    number.
+    """Function of points, shape (..., axes) [m]: distance from the nearest wall, `sides` of the room among them or
+    not, and its number.
     """
-    everything = [*walls, *_sides(room)]
+    everything = [*walls, *(_sides(room) if sides else ())]
 
     def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape, flat = points.shape[:-1], points.reshape(-1, points.shape[-1])
@@ -190,7 +193,7 @@ def _sides(room: Room) -> list[tuple[Distance, int]]:
     return found
 
 
-def _hold(room: Room, corners: np.ndarray, mirror: np.ndarray, axial: bool) -> np.ndarray:
+def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, axial: bool) -> np.ndarray:
     """Volume of what is open around the middle of each cell, weighted as particles there are (`fill`)."""
     axes = len(room.cells)
     fine = FINE[axes]
@@ -201,7 +204,6 @@ def _hold(room: Room, corners: np.ndarray, mirror: np.ndarray, axial: bool) -> n
         values = np.moveaxis(values, axis, -1)
         low, high = values[..., :-1, None], values[..., 1:, None]
         values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
-    shut = mirror
     for axis in range(axes):
         shut = np.repeat(shut, fine, axis)
     found = np.where((values > 0) & ~shut, 1.0, 0.0).astype(np.float32)

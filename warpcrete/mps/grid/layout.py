@@ -40,6 +40,8 @@ class GridLayout:
     """Velocity of the grid along the last axis [m/s]; mean velocity of a periodic pipe."""
     drive: float = 0.0
     """Force per volume at the start [N/m3]."""
+    held: bool = True
+    """In a periodic pipe that force changes so that the mean velocity stays that of the frame; else it stays."""
     resistance: float = 0.0
     """By how much a periodic pipe's wall answers a faster mean [kg/m3/s]."""
     geometry: Geometry | None = None
