@@ -20,7 +20,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
     f = grid_functions(scalar, of)
     t = mps_types(scalar, dims)
     vec, whole = t.vec, t.whole
-    around = 3**dims
+    around, corners = 3**dims, 2**dims
 
     @wp.func
     def level(crowd: scalar) -> scalar:
@@ -28,6 +28,27 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
         if crowd < scalar(0.5):
             return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
         return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
+
+    @wp.func
+    def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
+        """What cells that are wall have of a particle of this cell: it counts here, or what lies on a wall would weigh
+        half."""
+        sum = scalar(0.0)
+        for n in range(1, corners):
+            o = c
+            part = scalar(1.0)
+            bits = n
+            for b in range(dims):
+                away = wp.abs(d[b]) / g.width[b]
+                if bits % 2 == 1:
+                    o[b] = o[b] + wp.where(d[b] > scalar(0.0), 1, -1)
+                    part *= away
+                else:
+                    part *= scalar(1.0) - away
+                bits = bits / 2
+            if mesh.solid[f.at(g, o)] != OPEN:
+                sum += part
+        return sum
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
@@ -100,6 +121,8 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
                         near = scalar(1.0)
                         for b in range(dims):
                             near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
+                        if n == wp.static(around // 2):
+                            near += behind(g, mesh, c, d)
                         sum += near * particles.mass[p]
             crowd = sum * g.volume / geometry.hold[number]
             part = wp.clamp(level(crowd), scalar(0.0), scalar(1.0))

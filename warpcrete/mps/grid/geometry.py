@@ -113,7 +113,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
     kept = np.where(solid == NONE, np.maximum(open_part, LEAST), 0.0)
-    hold = _hold(room, corners, mirror | beyond, axial)
+    hold = _hold(room, corners, mirror | beyond, solid != NONE, axial)
     halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
     nook = np.where(solid == NONE, _quarters(corners), 0.0)
@@ -193,8 +193,10 @@ def _sides(room: Room) -> list[tuple[Distance, int]]:
     return found
 
 
-def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, axial: bool) -> np.ndarray:
-    """Volume of what is open around the middle of each cell, weighted as particles there are (`fill`)."""
+def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
+    """Volume of what is open around the middle of each cell, weighted as particles there are (`fill`): what cells that
+    are `wall` would have of it is their neighbours'.
+    """
     axes = len(room.cells)
     fine = FINE[axes]
     inner = (np.arange(fine) + 0.5) / fine
@@ -210,6 +212,7 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, axial: bool) -> np.
     if axial:
         radius = (np.arange(found.shape[0]) + 0.5) / fine * room.width[0] - room.width[0]
         found = found * np.maximum(radius, 0.0)[:, None]
+    behind = _behind(found, wall, fine)
     far = np.abs(np.concatenate([inner - 1.5, inner - 0.5, inner + 0.5]))
     hat = np.maximum(1 - far, 0.0) / fine
     for axis in range(axes):
@@ -218,7 +221,28 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, axial: bool) -> np.
         around = np.pad(cells, [(0, 0)] * (axes - 1) + [(1, 1), (0, 0)])
         whole = np.concatenate([around[..., :-2, :], cells, around[..., 2:, :]], -1)
         found = np.moveaxis(whole @ hat, -1, axis)
+    found = found + behind
     return np.maximum(found, 1e-6 * float(found.max())) * float(np.prod(room.width))
+
+
+def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
+    """What cells that are wall would have of what is open in each cell, `found` at `fine` places along each axis."""
+    axes, half = wall.ndim, fine // 2
+    shape = [n for length in wall.shape for n in (length, fine)]
+    inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
+    away = (np.arange(half) + 0.5) / fine  # from the middle of a cell, over its width
+    sum = np.zeros(wall.shape)
+    for side in np.ndindex((2,) * axes):
+        # Of the places on these sides of the middle, from it outward.
+        rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
+        part = inner[(..., *rays)]
+        for beyond in list(np.ndindex((2,) * axes))[1:]:
+            share = part
+            for goes in reversed(beyond):
+                share = share @ (away if goes else 1 - away)
+            shift = tuple((1 - 2 * upper) * goes for upper, goes in zip(side, beyond, strict=True))
+            sum += share * np.roll(wall, shift, range(axes))
+    return sum / fine**axes
 
 
 def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
