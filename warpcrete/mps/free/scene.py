@@ -44,7 +44,7 @@ class FreeSettings(Declared):
         float,
         "beta of the regularised Bingham law [s]: what is below the yield stress creeps by one over this",
         Above(),
-    ] = 1e6
+    ] = 1e5
     tolerance: Annotated[float, "of the pressure solve: residual over that at its start", Within(1e-12, 0.5)] = 1e-3
     maximum_iterations: Annotated[int, "of a solve, before the run ends with an error", Within(1)] = 5000
     precision: Annotated[str, "float32 or float64", OneOf(PRECISIONS)] = "float32"
