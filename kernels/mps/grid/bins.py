@@ -30,6 +30,22 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
         return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
 
     @wp.func
+    def lies(crowd: scalar) -> scalar:
+        """The same of concrete that lies on a wall: what is below the middle counts in full."""
+        return wp.where(crowd < scalar(0.5), crowd, level(crowd))
+
+    @wp.func
+    def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
+        """Is there a wall on one side of a cell, and no particle on the other?"""
+        found = wp.bool(False)
+        for n in range(2 * dims):
+            o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))
+            if mesh.solid[o] > OPEN:
+                other = f.at(g, f.moved(c, n / 2, 1 - 2 * (n % 2)))
+                found = found or (mesh.solid[other] == OPEN and mesh.count[other] == 0)
+        return found
+
+    @wp.func
     def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
         """What cells that are wall have of a particle of this cell: it counts here, or what lies on a wall would weigh
         half."""
@@ -125,7 +141,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
                             near += behind(g, mesh, c, d)
                         sum += near * particles.mass[p]
             crowd = sum * g.volume / geometry.hold[number]
-            part = wp.clamp(level(crowd), scalar(0.0), scalar(1.0))
+            part = wp.clamp(wp.where(film(mesh, g, c), lies(crowd), level(crowd)), scalar(0.0), scalar(1.0))
         mesh.crowd[number] = crowd
         mesh.fill[number] = part
         mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)
