@@ -36,13 +36,16 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
-        """Is there a wall on one side of a cell, and no particle on the other?"""
+        """Is there a wall on one side of a cell, no particle on the other, and no deep concrete beside it?"""
+        own = mesh.count[f.at(g, c)]
         found = wp.bool(False)
         for n in range(2 * dims):
             o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))
             if mesh.solid[o] > OPEN:
                 other = f.at(g, f.moved(c, n / 2, 1 - 2 * (n % 2)))
                 found = found or (mesh.solid[other] == OPEN and mesh.count[other] == 0)
+        for n in range(2 * dims):
+            found = found and mesh.count[f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))] <= 2 * own
         return found
 
     @wp.func
