@@ -122,7 +122,7 @@ DIRECTED = """
 #endif
     const auto term = [&](int k) {
         const int at = k * rows + row, j = WARPCRETE_CONSTANT(neighbour.data[at]);
-        return WARPCRETE_CONSTANT(coefficient.data[at]) * (value.data[j] + factor * direction.data[first + j]);
+        return WARPCRETE_CONSTANT(coefficient.data[at]) * (TERM);
     };
     int k = 0;
     for (; k + 3 < count; k += 4) {
@@ -147,6 +147,7 @@ def directed_product(scalar, value_type):
     width = getattr(value_type, "_length_", 1)
     name = "double" if scalar is wp.float64 else "float"
     snippet = DIRECTED.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>")
+    snippet = snippet.replace("TERM", "value.data[j] + factor * direction.data[first + j]")
 
     @wp.func_native(snippet)
     def product(
@@ -156,6 +157,28 @@ def directed_product(scalar, value_type):
         direction: wp.array(dtype=value_type),
         factor: scalar,
         first: wp.int32,
+        row: wp.int32,
+        rows: wp.int32,
+        count: wp.int32,
+    ) -> value_type: ...
+
+    return product
+
+
+@functools.cache
+def entry_product(scalar, value_type):
+    """Function of (neighbour, coefficient, value, row, rows, count): coefficients of a row of lists by entry, times the
+    neighbours' `value`. Neighbours and coefficients must not change in the kernel.
+    """
+    width = getattr(value_type, "_length_", 1)
+    name = "double" if scalar is wp.float64 else "float"
+    snippet = DIRECTED.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>")
+
+    @wp.func_native(snippet.replace("TERM", "value.data[j]"))
+    def product(
+        neighbour: wp.array(dtype=wp.int32),
+        coefficient: wp.array(dtype=scalar),
+        value: wp.array(dtype=value_type),
         row: wp.int32,
         rows: wp.int32,
         count: wp.int32,

@@ -55,6 +55,33 @@ def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
 
 
 @functools.cache
+def sum_functions(width: int) -> SimpleNamespace:
+    """`kept`, by each thread of blocks of so many, and `summed` over all."""
+    alone = width == WIDE
+    keep, total = block_sums(width).keep, block_sums(width).total
+
+    @wp.func
+    def kept(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64) -> wp.float64:
+        """What a thread itself adds up: all if its block is alone, else nothing, as blocks keep sums of chunks."""
+        if wp.static(alone):
+            return own
+        else:
+            keep(thread, partial, first, own)
+            return wp.float64(0.0)
+
+    @wp.func
+    def summed(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
+        """Over all threads; all must have waited for one another."""
+        if wp.static(alone):
+            whole = wp.tile_sum(wp.tile(own))
+            return whole[0]
+        else:
+            return total(lane, partial, first, sums)
+
+    return SimpleNamespace(kept=kept, summed=summed)
+
+
+@functools.cache
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """What a thread does for its row, or grain, in a solve; each gives what it adds to the sums.
 
@@ -130,31 +157,12 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 @functools.cache
 def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
     """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
-    alone = width == WIDE
-    keep, total = block_sums(width).keep, block_sums(width).total
+    kept, summed = sum_functions(width).kept, sum_functions(width).summed
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 
-    @wp.func
-    def kept(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64) -> wp.float64:
-        """What a thread itself adds up: all if its block is alone, else nothing, as blocks keep sums of chunks."""
-        if wp.static(alone):
-            return own
-        else:
-            keep(thread, partial, first, own)
-            return wp.float64(0.0)
-
-    @wp.func
-    def summed(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
-        """Over all threads; all must have waited for one another."""
-        if wp.static(alone):
-            whole = wp.tile_sum(wp.tile(own))
-            return whole[0]
-        else:
-            return total(lane, partial, first, sums)
-
-    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if alone else RESIDENT))
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
         # what is solved, and how well
         count: wp.int32,

@@ -60,7 +60,7 @@ def flow_struct(scalar):
 
 @functools.cache
 def array_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Structs `Particles`, `Lists`, `Fields`, `Grains`, `Matrix`, and `Solve` of vectors and of numbers."""
+    """Structs `Particles`, `Lists`, `Fields`, `Grains`, `Coarse`, `Matrix`, and `Solve` of vectors and of numbers."""
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
 
@@ -119,6 +119,22 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         turn: wp.array(dtype=t.mat)  # rotation since the start
 
     @wp.struct
+    class Coarse:
+        count: wp.int32  # cubes that particles are gathered in
+        wide: wp.int32  # of them across the pipe, 3 at least
+        of: wp.array(dtype=wp.int32)  # cube of each particle, shape (n,)
+        first: wp.array(
+            dtype=wp.int32
+        )  # place of its particles in `member`, and the end of the last, shape (count + 1,)
+        member: wp.array(dtype=wp.int32)  # particles by cubes, shape (n,)
+        neighbour: wp.array(dtype=wp.int32)  # cubes around each, -1: none, shape (3^d * count,)
+        coefficient: wp.array(dtype=scalar)  # with those; in the middle one over the diagonal, shape (3^d * count,)
+        diagonal: wp.array(dtype=scalar)  # shape (count,)
+        pair: wp.array(
+            dtype=scalar
+        )  # what each particle has with the cubes around its own, shape (3^d * n,), of a GPU alone
+
+    @wp.struct
     class Matrix:
         near_capacity: wp.int32  # as that of the lists, and so the next two
         near_count: wp.array(dtype=wp.int32)
@@ -130,6 +146,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         position: wp.array(dtype=t.vec)  # as that of the particles [m]
         bound: wp.int32  # rows of grains' particles, which come before those of mortar
         grains: Grains
+        coarse: Coarse
 
     def solve_struct(value):
         @wp.struct
@@ -138,6 +155,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             direction: wp.array(dtype=value)  # shape (n,); of a GPU (2n,): two in turn
             product: wp.array(dtype=value)  # of the matrix and the direction, shape (n,)
             preconditioned: wp.array(dtype=value)  # residual over the diagonal, shape (n,); of a GPU alone
+            load: wp.array(dtype=value)  # residual of each cube of the coarse grid, shape (cubes,)
+            lift: wp.array(dtype=value)  # its solution, two in turn, shape (2 cubes,)
+            change: wp.array(dtype=value)  # of that, shape (cubes,)
             partial: wp.array(dtype=wp.float64)  # sums of each block or thread: three kinds, one after the other
             outcome: wp.array(dtype=wp.float64)  # iterations, norms of the residual before and after, shape (OUTCOME,)
             history: wp.array(dtype=wp.float64)  # norm of the residual after each iteration
@@ -145,7 +165,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         return Solve
 
     return SimpleNamespace(
-        Particles=Particles, Lists=Lists, Fields=Fields, Matrix=Matrix, Grains=Grains,
+        Particles=Particles, Lists=Lists, Fields=Fields, Matrix=Matrix, Grains=Grains, Coarse=Coarse,
         VectorSolve=solve_struct(t.vec), NumberSolve=solve_struct(scalar),
     )  # fmt: skip
 

@@ -20,6 +20,7 @@ from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
 from ..kernels.mps.paper_scheme import LAPLACIAN
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
+from .coarse import CoarseGrid
 from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 from .stepping import Stepping
@@ -64,6 +65,7 @@ class MovingParticles(Stepping):
         self.blocks = -(-self.count // BLOCK)
         self.gate, self.barrier = self._launcher.gate, self._launcher.barrier
         self.fields = self._fields()
+        self.coarse = self._coarse()
         self.matrix = self._matrix()
         self.viscous = self._solve(self.structs.VectorSolve)
         self.projection = self._solve(self.structs.NumberSolve)
@@ -110,13 +112,24 @@ class MovingParticles(Stepping):
         if self.grains is not None:
             assert self.state.grains is not None
             matrix.bound, matrix.grains = int(self.state.grains.first[-1]), self.grains
+        if self.coarse is not None:
+            matrix.coarse = self.coarse.arrays
         return matrix
+
+    def _coarse(self) -> CoarseGrid | None:
+        """That of the solves; rigid grains, which are larger than its cubes, and the printed scheme have none."""
+        if self.grains is not None or self.scene.paper_scheme:
+            return None
+        layout, reach = self.state.layout, self._list_reach[0]
+        return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
         """Working arrays of one system of equations."""
         solve = struct()
         bodies = 0 if self.state.grains is None else self.state.grains.count
+        cubes = 0 if self.coarse is None else self.coarse.count
         sizes = {
+            "load": cubes, "lift": 2 * cubes, "change": cubes,
             "partial": 3 * (self.blocks + -(-bodies // BLOCK) if self.parallel else self.threads), "outcome": OUTCOME,
             "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
             "preconditioned": self.count if self.parallel else 0,
@@ -188,6 +201,8 @@ class MovingParticles(Stepping):
             points=self.points, fields=self.fields,
         )  # fmt: skip
         self.grid.build(self.points, whole_reach)
+        if self.coarse is not None:
+            self.coarse.gather(self.particles.position.numpy())
         while True:
             launch(
                 search, self.count, self.device, flow=self.flow, near_reach=near_reach, whole_reach=whole_reach,

@@ -13,12 +13,14 @@ done instead and why.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
 from ..core.launching import Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
+from ..kernels.mps.coarse import coarse_kernels, serial_coarse_kernel
 from ..kernels.mps.conjugate_gradient import serial_solver
 from ..kernels.mps.moments import geometry_kernel
 from ..kernels.mps.motion import advance_kernel, finish, shift_kernel
@@ -26,6 +28,7 @@ from ..kernels.mps.operators import divergence_kernel, gradient_kernel, momentum
 from ..kernels.mps.resident_solver import resident_blocks, resident_solver
 from ..kernels.mps.rigid import bodies_kernel, places_kernel, velocities_kernel
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
+from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .state import lattice_number
 
 VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
@@ -138,12 +141,13 @@ class StepPart:
 
     def viscosity(self) -> list[Any]:
         absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
-        return self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute)
+        return [*self.gathered(True), *self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute)]
 
     def pressure(self) -> list[Any]:
         scene, tolerance = self.scene, self.scene.tolerance
         absolute = LEAST_PRESSURE * tolerance * self.rate * scene.velocity / scene.radius * self.size
-        return self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
+        solve = self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
+        return [*self.gathered(False), *solve]
 
     def shifting(self) -> list[Any]:
         """The solve of what moves particles off crowds, and how far that is."""
@@ -177,6 +181,18 @@ class StepPart:
 
     # Solves.
 
+    def gathered(self, vector: bool) -> list[Any]:
+        """The coarse matrix, of velocities or of numbers; that of the pressure serves what moves particles too."""
+        coarse = self.p.coarse
+        if coarse is None:
+            return []
+        p, kind = self.p, (self.p.scalar, self.dimensions, vector)
+        if self.serial:
+            begin, end = (coarse.count * part // p.threads for part in (self.parts.start, self.parts.stop))
+            return [p.stage(serial_coarse_kernel(*kind), 1, begin=begin, end=end), *self.meet]
+        kernels = coarse_kernels(*kind)
+        return [p.stage(kernels.pairs, p.count), p.stage(kernels.sums, coarse.count * 3**self.dimensions)]
+
     @property
     def size(self) -> float:
         """Norm of as many ones as there are particles."""
@@ -192,12 +208,15 @@ class StepPart:
         p, maximum = self.p, self.scene.maximum_iterations
         vector = what == VISCOSITY
         rigid = vector and self.two_phase
-        kind = p.scalar, self.dimensions, vector, rigid
+        kind = p.scalar, self.dimensions, vector
+        serial, resident = (functools.partial(solver, *kind) for solver in (serial_two_level, resident_two_level))
+        if p.coarse is None:
+            serial, resident = (functools.partial(s, *kind, rigid) for s in (serial_solver, resident_solver))
         goal = {"tolerance": tolerance, "absolute_tolerance": absolute}
         if self.serial:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
-            return [p.stage(serial_solver(*kind), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
+            return [p.stage(serial(), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
         width, parties = resident_blocks(p.device, p.count, p.matrix.near_capacity, p.abreast)
         named = {"what": what, "maximum": maximum, "system": system, "x": x, "parties": parties, **goal}
-        return [p.stage(resident_solver(*kind, width), width * parties, block=width, **named)]
+        return [p.stage(resident(width=width), width * parties, block=width, **named)]

@@ -87,7 +87,7 @@ class GridFlow(Stepping):
         matrix = structs.Matrix()
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
-            if name not in ("near_capacity", "bound", "grains"):
+            if name not in ("near_capacity", "bound", "grains", "coarse"):
                 # What would bind rows of vectors to walls has none here.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
@@ -105,6 +105,7 @@ class GridFlow(Stepping):
             "history": HISTORY,
             "direction": rows * (2 if self.parallel else 1),
             "preconditioned": rows if self.parallel else 0,
+            **dict.fromkeys(("load", "lift", "change"), 0),
         }
         for name in structs.NumberSolve.vars:
             setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))

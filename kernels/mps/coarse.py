@@ -1,0 +1,181 @@
+"""A coarse grid that helps the solves of the moving particle method: what is smooth over many particles is found there.
+
+Particles are gathered in cubes some four spacings wide; the coarse matrix is that of velocities, or pressures, which
+are the same all over each cube (Nicolaides 1987). Its solution, roughly by Chebyshev's polynomial, is added to the
+residual over the diagonal: a preconditioner with which iterations hardly grow with the number of particles.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED
+from .structs import array_structs, flow_struct, row_place
+
+DEGREE = 6
+"""Of the polynomial: the coarse matrix is applied once less."""
+RATIO = 20.0
+"""Of the largest eigenvalue of the coarse matrix over its diagonal, which is 2 at most, and the smallest that the
+polynomial is made for."""
+MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
+"""Of the eigenvalues from 2 / RATIO to 2."""
+
+
+@functools.cache
+def slot_function(scalar, dimensions: int):
+    """Which of a cube's neighbours another one is, itself in the middle; none is further than the next."""
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.func
+    def slot_of(matrix: Matrix, own: wp.int32, other: wp.int32) -> wp.int32:
+        wide = matrix.coarse.wide
+        if wp.static(dimensions == 2):
+            t = other - own + wide + 1
+            return t % wide + 3 * (t / wide)
+        else:
+            layer = wide * wide
+            t = other - own + layer + wide + 1
+            return t % wide + 3 * ((t / wide) % wide) + 9 * (t / layer)
+
+    return slot_of
+
+
+@functools.cache
+def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
+    """Kernel of one task that forms the coarse matrix's rows of cubes from `begin` to `end`; in the middle of a row one
+    over its diagonal, none of cubes that hold nothing."""
+    Flow = flow_struct(scalar)
+    Matrix = array_structs(scalar, dimensions).Matrix
+    slot_of = slot_function(scalar, dimensions)
+    slots = 3**dimensions
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def cubes(flow: Flow, begin: wp.int32, end: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        if flags[HALTED] != 0:
+            return
+        count = matrix.coarse.count
+        for a in range(begin, end):
+            for s in range(slots):
+                matrix.coarse.coefficient[s * count + a] = scalar(0.0)
+            middle = scalar(0.0)
+            for m in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
+                i = matrix.coarse.member[m]
+                if wp.static(vector) or matrix.free[i] == 0:
+                    middle += matrix.diagonal[i]
+                    if wp.static(vector):
+                        middle += matrix.drag[i]
+                    row = i * matrix.near_capacity
+                    for k in range(row, row + matrix.near_count[i]):
+                        j = matrix.near[k]
+                        other = matrix.coarse.of[j]
+                        if wp.static(vector) or matrix.free[j] == 0:
+                            if other == a:
+                                middle -= matrix.coefficient[k]
+                            else:
+                                to = slot_of(matrix, a, other) * count + a
+                                matrix.coarse.coefficient[to] = matrix.coarse.coefficient[to] + matrix.coefficient[k]
+            matrix.coarse.diagonal[a] = middle
+            matrix.coarse.coefficient[wp.static(slots // 2) * count + a] = wp.where(
+                middle > scalar(0.0), scalar(1.0) / middle, scalar(0.0)
+            )
+
+    return cubes
+
+
+@functools.cache
+def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
+    """Kernels `pairs`, a task a row, and `sums`, a task an entry, which form the same on a GPU."""
+    Flow = flow_struct(scalar)
+    Matrix = array_structs(scalar, dimensions).Matrix
+    slot_of = slot_function(scalar, dimensions)
+    place = row_place(False)
+    slots = 3**dimensions
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def pairs(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        """What each row has with each neighbour of its cube."""
+        if flags[HALTED] != 0:
+            return
+        i = wp.tid()
+        for s in range(slots):
+            matrix.coarse.pair[s * flow.count + i] = scalar(0.0)
+        middle = scalar(0.0)
+        if wp.static(vector) or matrix.free[i] == 0:
+            middle = matrix.diagonal[i]
+            if wp.static(vector):
+                middle += matrix.drag[i]
+            own = matrix.coarse.of[i]
+            for k in range(matrix.near_count[i]):
+                at = place(i, k, flow.count, matrix.near_capacity)
+                j = matrix.near[at]
+                other = matrix.coarse.of[j]
+                if wp.static(vector) or matrix.free[j] == 0:
+                    if other == own:
+                        middle -= matrix.coefficient[at]
+                    else:
+                        to = slot_of(matrix, own, other) * flow.count + i
+                        matrix.coarse.pair[to] = matrix.coarse.pair[to] + matrix.coefficient[at]
+        matrix.coarse.pair[wp.static(slots // 2) * flow.count + i] = middle
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sums(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+        """Over the rows of a cube."""
+        if flags[HALTED] != 0:
+            return
+        entry = wp.tid()
+        a = entry % matrix.coarse.count
+        s = entry / matrix.coarse.count
+        sum = scalar(0.0)
+        for k in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
+            sum += matrix.coarse.pair[s * flow.count + matrix.coarse.member[k]]
+        if s == wp.static(slots // 2):
+            matrix.coarse.diagonal[a] = sum
+            sum = wp.where(sum > scalar(0.0), scalar(1.0) / sum, scalar(0.0))
+        matrix.coarse.coefficient[entry] = sum
+
+    return SimpleNamespace(pairs=pairs, sums=sums)
+
+
+@functools.cache
+def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
+    """What a thread does for a cube in a solve: `load` it with the residual, which is the first guess, and `sweep`."""
+    structs = array_structs(scalar, dimensions)
+    Matrix = structs.Matrix
+    Solve = structs.VectorSolve if vector else structs.NumberSolve
+    value = Solve.vars["residual"].type.dtype
+    slots = 3**dimensions
+
+    @wp.func
+    def load(a: wp.int32, matrix: Matrix, system: Solve):
+        sum = value(scalar(0.0))
+        for k in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
+            sum += system.residual[matrix.coarse.member[k]]
+        guess = sum * (matrix.coarse.coefficient[wp.static(slots // 2) * matrix.coarse.count + a] / scalar(MIDDLE))
+        system.load[a] = sum
+        system.change[a] = guess
+        system.lift[a] = guess
+
+    @wp.func
+    def sweep(a: wp.int32, old: wp.int32, before: scalar, now: scalar, matrix: Matrix, system: Solve) -> value:
+        """A step of Chebyshev's recurrence from the guesses that begin at `old`; gives the new one."""
+        count = matrix.coarse.count
+        own = system.lift[old + a]
+        left = system.load[a] - matrix.coarse.diagonal[a] * own
+        for s in range(slots):
+            if s != wp.static(slots // 2):
+                other = matrix.coarse.neighbour[s * count + a]
+                if other >= 0:
+                    left += matrix.coarse.coefficient[s * count + a] * system.lift[old + other]
+        inverse = matrix.coarse.coefficient[wp.static(slots // 2) * count + a]
+        change = (now * before) * system.change[a] + (scalar(wp.static(2.0 / REACH)) * now * inverse) * left
+        system.change[a] = change
+        system.lift[count - old + a] = own + change
+        return own + change
+
+    @wp.func
+    def next_factor(before: scalar) -> scalar:
+        """Of the recurrence; REACH / MIDDLE is the first."""
+        return scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)
+
+    return SimpleNamespace(load=load, sweep=sweep, next_factor=next_factor)

@@ -1,0 +1,331 @@
+"""Conjugate gradients with the coarse grid (`coarse.py`) in the preconditioner, a whole solve in one kernel.
+
+As `conjugate_gradient.py` and `resident_solver.py` have it for the diagonal alone: a thread for each chunk of rows on a
+CPU, blocks that stay and wait for one another on a GPU.
+"""
+
+import functools
+
+import warp as wp
+
+from ..common.barrier import meet
+from ..common.control import FAILED, HALTED
+from ..common.reductions import BLOCK
+from ..common.rows import entry_product, row_product
+from ..common.types import cpu_flags
+from .coarse import DEGREE, MIDDLE, REACH, coarse_functions
+from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, serial_rows, solver_functions
+from .resident_solver import RESIDENT, WIDE, gather, row_functions, sum_functions
+from .structs import array_structs, flow_struct
+
+
+@functools.cache
+def serial_correction(scalar, dimensions: int, vector: bool):
+    """`correct`: the coarse solution for the residual, into the arrays from the place that is given back; each part's
+    inner product of both."""
+    f, cube = solver_functions(scalar, dimensions, vector), coarse_functions(scalar, dimensions, vector)
+    Solve = f.Solve
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.func
+    def correct(
+        parts: wp.int32, lower: wp.int32, upper: wp.int32, workers: wp.int32, gate: wp.array(dtype=wp.int32),
+        matrix: Matrix, system: Solve,
+    ) -> wp.int32:  # fmt: skip
+        count = matrix.coarse.count
+        first = count * lower / parts
+        end = count * upper / parts
+        for a in range(first, end):
+            cube.load(a, matrix, system)
+        old = wp.int32(0)
+        before = scalar(wp.static(REACH / MIDDLE))
+        for _ in range(wp.static(DEGREE - 1)):
+            meet(gate, workers)
+            now = cube.next_factor(before)
+            for a in range(first, end):
+                cube.sweep(a, old, before, now, matrix, system)
+            before = now
+            old = count - old
+        for part in range(lower, upper):
+            own = wp.float64(0.0)
+            for a in range(count * part / parts, count * (part + 1) / parts):
+                own += f.inner(system.load[a], system.lift[old + a])
+            system.partial[2 * parts + part] = own
+        meet(gate, workers)
+        return old
+
+    return correct
+
+
+@functools.cache
+def serial_two_level(scalar, dimensions: int, vector: bool):
+    """Kernel of one task a thread: the whole solve; adds to `x`. Parameters are those of `serial_solver`."""
+    f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
+    Solve, value = f.Solve, f.value
+    Flow = flow_struct(scalar)
+    Matrix = array_structs(scalar, dimensions).Matrix
+    product = row_product(scalar, value)
+    correct = serial_correction(scalar, dimensions, vector)
+
+    @wp.func
+    def lifted(i: wp.int32, old: wp.int32, matrix: Matrix, system: Solve) -> value:
+        if wp.static(vector) or matrix.free[i] == 0:
+            return system.lift[old + matrix.coarse.of[i]]
+        return value(scalar(0.0))
+
+    @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
+    def solve(
+        # what is solved, and how well
+        flow: Flow,
+        what: wp.int32,
+        tolerance: wp.float64,
+        absolute_tolerance: wp.float64,
+        maximum: wp.int32,
+        # chunks
+        parts: wp.int32,
+        lower: wp.int32,
+        upper: wp.int32,
+        workers: wp.int32,
+        gate: wp.array(dtype=wp.int32),
+        # state, read
+        matrix: Matrix,
+        # written
+        flags: wp.array(dtype=wp.int32),
+        system: Solve,
+        x: wp.array(dtype=value),
+    ):
+        if flags[HALTED] != 0:
+            return
+        begin = flow.count * lower / parts
+        end = flow.count * upper / parts
+        for part in range(lower, upper):
+            own_rz, own_rr = rows.begin(
+                flow.count * part / parts, flow.count * (part + 1) / parts, matrix, system
+            )  # fmt: skip
+            system.partial[part] = own_rz
+            system.partial[parts + part] = own_rr
+        meet(gate, workers)
+        old = correct(parts, lower, upper, workers, gate, matrix, system)
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for k in range(parts):
+            rz += system.partial[k] + system.partial[2 * parts + k]
+            rr += system.partial[parts + k]
+        for i in range(begin, end):
+            system.direction[i] = system.direction[i] + lifted(i, old, matrix, system)
+        meet(gate, workers)
+        start = wp.sqrt(rr)
+        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        count = wp.int32(0)
+        while rr > goal and count < maximum:
+            for part in range(lower, upper):
+                own_pq = wp.float64(0.0)
+                for i in range(flow.count * part / parts, flow.count * (part + 1) / parts):
+                    own = system.direction[i]
+                    sum = matrix.diagonal[i] * own - product(
+                        matrix.near, matrix.coefficient, system.direction, i * matrix.near_capacity,
+                        matrix.near_count[i],
+                    )  # fmt: skip
+                    sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
+                    system.product[i] = sum
+                    own_pq += f.inner(own, sum)
+                system.partial[2 * parts + part] = own_pq
+            meet(gate, workers)
+            pq = wp.float64(0.0)
+            for k in range(parts):
+                pq += system.partial[2 * parts + k]
+            if pq <= wp.float64(0.0):
+                break
+            for part in range(lower, upper):
+                own_rz, own_rr = rows.update(
+                    flow.count * part / parts, flow.count * (part + 1) / parts, scalar(rz / pq), matrix, system, x
+                )
+                system.partial[part] = own_rz
+                system.partial[parts + part] = own_rr
+            meet(gate, workers)
+            old = correct(parts, lower, upper, workers, gate, matrix, system)
+            rz_after = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for k in range(parts):
+                rz_after += system.partial[k] + system.partial[2 * parts + k]
+                rr += system.partial[parts + k]
+            beta = scalar(rz_after / rz)
+            rz = rz_after
+            for i in range(begin, end):
+                system.direction[i] = system.product[i] + lifted(i, old, matrix, system) + beta * system.direction[i]
+            if lower == 0 and count < system.history.shape[0]:
+                system.history[count] = wp.sqrt(rr)
+            count += 1
+            meet(gate, workers)
+        if lower == 0:
+            system.outcome[ITERATIONS] = wp.float64(count)
+            system.outcome[BEFORE] = start
+            system.outcome[AFTER] = wp.sqrt(rr)
+            if not rr <= goal:
+                flags[FAILED] = what
+        # Nobody may look at the flags before all have left the loop.
+        meet(gate, workers)
+        if lower == 0 and flags[FAILED] != 0:
+            flags[HALTED] = 1
+        meet(gate, workers)
+
+    return solve
+
+
+@functools.cache
+def resident_correction(scalar, dimensions: int, vector: bool, width: int):
+    """`correct` as above, by blocks: few cubes by the first alone. All must have waited for the residual, and do for
+    the solution."""
+    f, cube = solver_functions(scalar, dimensions, vector), coarse_functions(scalar, dimensions, vector)
+    kept = sum_functions(width).kept
+    Solve = f.Solve
+    Matrix = array_structs(scalar, dimensions).Matrix
+
+    @wp.func
+    def correct(
+        lane: wp.int32, block: wp.int32, parties: wp.int32, gate: wp.array(dtype=wp.int32), sums: wp.int32,
+        matrix: Matrix, system: Solve,
+    ):  # fmt: skip
+        """Where the solution begins, and this thread's part of its inner product with the residual."""
+        count = matrix.coarse.count
+        chunks = (count + width - 1) / width
+        sweepers = wp.where(chunks <= 4, 1, parties)
+        inner = wp.float64(0.0)
+        old = wp.int32(0)
+        before = scalar(wp.static(REACH / MIDDLE))
+        if block < sweepers:
+            for chunk in range(block, chunks, sweepers):
+                if chunk * width + lane < count:
+                    cube.load(chunk * width + lane, matrix, system)
+        for turn in range(wp.static(DEGREE - 1)):
+            now = cube.next_factor(before)
+            if block < sweepers:
+                gather(gate, sweepers)
+                for chunk in range(block, chunks, sweepers):
+                    a = chunk * width + lane
+                    own = wp.float64(0.0)
+                    if a < count:
+                        found = cube.sweep(a, old, before, now, matrix, system)
+                        own = f.inner(system.load[a], found)
+                    if turn == wp.static(DEGREE - 2):
+                        inner += kept(chunk * width + lane, system.partial, 2 * sums, own)
+            before = now
+            old = count - old
+        gather(gate, parties)
+        return old, inner
+
+    return correct
+
+
+@functools.cache
+def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
+    """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
+    kept, summed = sum_functions(width).kept, sum_functions(width).summed
+    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, False)
+    Solve, value = f.Solve, f.value
+    Matrix = array_structs(scalar, dimensions).Matrix
+    product = entry_product(scalar, value)
+    correct = resident_correction(scalar, dimensions, vector, width)
+
+    @wp.func
+    def turn(i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
+        """The new direction."""
+        if i < count:
+            now = system.preconditioned[i]
+            if wp.static(vector) or matrix.free[i] == 0:
+                now += system.lift[old + matrix.coarse.of[i]]
+            if beta != scalar(0.0):
+                now += beta * system.direction[i]
+            system.direction[i] = now
+
+    @wp.func
+    def multiply(i: wp.int32, count: wp.int32, matrix: Matrix, system: Solve) -> wp.float64:
+        if i >= count:
+            return wp.float64(0.0)
+        own = system.direction[i]
+        sum = matrix.diagonal[i] * own - product(
+            matrix.near, matrix.coefficient, system.direction, i, count, matrix.near_count[i]
+        )  # fmt: skip
+        sum = f.bounded(sum, own, matrix.position[i], matrix.free[i], matrix.drag[i])
+        system.product[i] = sum
+        return f.inner(own, sum)
+
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
+    def solve(
+        # what is solved, and how well
+        count: wp.int32,
+        what: wp.int32,
+        tolerance: wp.float64,
+        absolute_tolerance: wp.float64,
+        maximum: wp.int32,
+        # blocks
+        parties: wp.int32,
+        gate: wp.array(dtype=wp.int32),
+        # state, read
+        matrix: Matrix,
+        # written
+        flags: wp.array(dtype=wp.int32),
+        system: Solve,
+        x: wp.array(dtype=value),
+    ):
+        thread = wp.tid()
+        lane = thread % width
+        block = thread / width
+        halted = flags[HALTED]
+        sums = (count + width - 1) / width
+        cubes = (matrix.coarse.count + width - 1) / width
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for chunk in range(block, sums, parties):
+            own_rz, own_rr = row.begin(chunk * width + lane, count, matrix, system)
+            rz += kept(chunk * width + lane, system.partial, 0, own_rz)
+            rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+        gather(gate, parties)
+        rr = summed(rr, lane, system.partial, sums, sums)
+        start = wp.sqrt(rr)
+        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        done = wp.int32(0)
+        beta = scalar(0.0)
+        before = wp.float64(1.0)
+        if halted != 0:
+            rr = wp.float64(0.0)
+            goal = wp.float64(0.0)
+        while rr > goal and done < maximum:
+            old, own_lift = correct(lane, block, parties, gate, sums, matrix, system)
+            rz = summed(rz, lane, system.partial, 0, sums) + summed(own_lift, lane, system.partial, 2 * sums, cubes)
+            if done > 0:
+                beta = scalar(rz / before)
+            before = rz
+            for chunk in range(block, sums, parties):
+                turn(chunk * width + lane, count, beta, old, matrix, system)
+            gather(gate, parties)
+            pq = wp.float64(0.0)
+            for chunk in range(block, sums, parties):
+                pq += kept(chunk * width + lane, system.partial, 2 * sums, multiply(
+                    chunk * width + lane, count, matrix, system
+                ))  # fmt: skip
+            gather(gate, parties)
+            pq = summed(pq, lane, system.partial, 2 * sums, sums)
+            alpha = scalar(0.0)
+            if pq > wp.float64(0.0):
+                alpha = scalar(rz / pq)
+            rz = wp.float64(0.0)
+            rr = wp.float64(0.0)
+            for chunk in range(block, sums, parties):
+                own_rz, own_rr = row.update(chunk * width + lane, count, alpha, count, matrix, system, x)
+                rz += kept(chunk * width + lane, system.partial, 0, own_rz)
+                rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+            gather(gate, parties)
+            rr = summed(rr, lane, system.partial, sums, sums)
+            if thread == 0 and done < system.history.shape[0]:
+                system.history[done] = wp.sqrt(rr)
+            done += 1
+        if thread == 0 and halted == 0:
+            system.outcome[ITERATIONS] = wp.float64(done)
+            system.outcome[BEFORE] = start
+            system.outcome[AFTER] = wp.sqrt(rr)
+            if not rr <= goal:
+                flags[FAILED] = what
+                flags[HALTED] = 1
+
+    return solve
