@@ -139,7 +139,11 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 @functools.cache
 def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """What a thread does for a cube in a solve: `load` it with the residual, which is the first guess, and `sweep`."""
+    """What a thread does for every `by`th cube from `first` on: `load` it with the residual, which is the first guess,
+    and `sweep`, which gives its part of the inner product of load and guess.
+
+    Loops are within, as functions on a CPU copy the structs that they are given.
+    """
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
     Solve = structs.VectorSolve if vector else structs.NumberSolve
@@ -147,31 +151,41 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     slots = 3**dimensions
 
     @wp.func
-    def load(a: wp.int32, matrix: Matrix, system: Solve):
-        sum = value(scalar(0.0))
-        for k in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
-            sum += system.residual[matrix.coarse.member[k]]
-        guess = sum * (matrix.coarse.coefficient[wp.static(slots // 2) * matrix.coarse.count + a] / scalar(MIDDLE))
-        system.load[a] = sum
-        system.change[a] = guess
-        system.lift[a] = guess
+    def load(first: wp.int32, end: wp.int32, by: wp.int32, matrix: Matrix, system: Solve):
+        for a in range(first, end, by):
+            sum = value(scalar(0.0))
+            for k in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
+                sum += system.residual[matrix.coarse.member[k]]
+            guess = sum * (matrix.coarse.coefficient[wp.static(slots // 2) * matrix.coarse.count + a] / scalar(MIDDLE))
+            system.load[a] = sum
+            system.change[a] = guess
+            system.lift[a] = guess
 
     @wp.func
-    def sweep(a: wp.int32, old: wp.int32, before: scalar, now: scalar, matrix: Matrix, system: Solve) -> value:
-        """A step of Chebyshev's recurrence from the guesses that begin at `old`; gives the new one."""
+    def sweep(
+        first: wp.int32, end: wp.int32, by: wp.int32, old: wp.int32, before: scalar, now: scalar, matrix: Matrix,
+        system: Solve,
+    ) -> wp.float64:  # fmt: skip
+        """A step of Chebyshev's recurrence from the guesses that begin at `old`."""
         count = matrix.coarse.count
-        own = system.lift[old + a]
-        left = system.load[a] - matrix.coarse.diagonal[a] * own
-        for s in range(slots):
-            if s != wp.static(slots // 2):
-                other = matrix.coarse.neighbour[s * count + a]
-                if other >= 0:
-                    left += matrix.coarse.coefficient[s * count + a] * system.lift[old + other]
-        inverse = matrix.coarse.coefficient[wp.static(slots // 2) * count + a]
-        change = (now * before) * system.change[a] + (scalar(wp.static(2.0 / REACH)) * now * inverse) * left
-        system.change[a] = change
-        system.lift[count - old + a] = own + change
-        return own + change
+        inner = wp.float64(0.0)
+        for a in range(first, end, by):
+            own = system.lift[old + a]
+            left = system.load[a] - matrix.coarse.diagonal[a] * own
+            for s in range(slots):
+                if s != wp.static(slots // 2):
+                    other = matrix.coarse.neighbour[s * count + a]
+                    if other >= 0:
+                        left += matrix.coarse.coefficient[s * count + a] * system.lift[old + other]
+            inverse = matrix.coarse.coefficient[wp.static(slots // 2) * count + a]
+            change = (now * before) * system.change[a] + (scalar(wp.static(2.0 / REACH)) * now * inverse) * left
+            system.change[a] = change
+            system.lift[count - old + a] = own + change
+            if wp.static(vector):
+                inner += wp.float64(wp.dot(system.load[a], own + change))
+            else:
+                inner += wp.float64(system.load[a] * (own + change))
+        return inner
 
     @wp.func
     def next_factor(before: scalar) -> scalar:

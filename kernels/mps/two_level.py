@@ -23,8 +23,7 @@ from .structs import array_structs, flow_struct
 def serial_correction(scalar, dimensions: int, vector: bool):
     """`correct`: the coarse solution for the residual, into the arrays from the place that is given back; each part's
     inner product of both."""
-    f, cube = solver_functions(scalar, dimensions, vector), coarse_functions(scalar, dimensions, vector)
-    Solve = f.Solve
+    cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
@@ -33,24 +32,19 @@ def serial_correction(scalar, dimensions: int, vector: bool):
         matrix: Matrix, system: Solve,
     ) -> wp.int32:  # fmt: skip
         count = matrix.coarse.count
-        first = count * lower / parts
-        end = count * upper / parts
-        for a in range(first, end):
-            cube.load(a, matrix, system)
+        for part in range(lower, upper):
+            cube.load(count * part / parts, count * (part + 1) / parts, 1, matrix, system)
         old = wp.int32(0)
         before = scalar(wp.static(REACH / MIDDLE))
         for _ in range(wp.static(DEGREE - 1)):
             meet(gate, workers)
             now = cube.next_factor(before)
-            for a in range(first, end):
-                cube.sweep(a, old, before, now, matrix, system)
+            for part in range(lower, upper):
+                system.partial[2 * parts + part] = cube.sweep(
+                    count * part / parts, count * (part + 1) / parts, 1, old, before, now, matrix, system
+                )
             before = now
             old = count - old
-        for part in range(lower, upper):
-            own = wp.float64(0.0)
-            for a in range(count * part / parts, count * (part + 1) / parts):
-                own += f.inner(system.load[a], system.lift[old + a])
-            system.partial[2 * parts + part] = own
         meet(gate, workers)
         return old
 
@@ -68,10 +62,13 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     correct = serial_correction(scalar, dimensions, vector)
 
     @wp.func
-    def lifted(i: wp.int32, old: wp.int32, matrix: Matrix, system: Solve) -> value:
-        if wp.static(vector) or matrix.free[i] == 0:
-            return system.lift[old + matrix.coarse.of[i]]
-        return value(scalar(0.0))
+    def turn(first: wp.int32, end: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
+        """New directions, from the residual over the diagonal, where `product` has it, and the coarse solution."""
+        for i in range(first, end):
+            now = system.product[i]
+            if wp.static(vector) or matrix.free[i] == 0:
+                now += system.lift[old + matrix.coarse.of[i]]
+            system.direction[i] = now + beta * system.direction[i]
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
@@ -112,7 +109,8 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
             rz += system.partial[k] + system.partial[2 * parts + k]
             rr += system.partial[parts + k]
         for i in range(begin, end):
-            system.direction[i] = system.direction[i] + lifted(i, old, matrix, system)
+            system.product[i] = system.direction[i]
+        turn(begin, end, scalar(0.0), old, matrix, system)
         meet(gate, workers)
         start = wp.sqrt(rr)
         goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
@@ -151,8 +149,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
                 rr += system.partial[parts + k]
             beta = scalar(rz_after / rz)
             rz = rz_after
-            for i in range(begin, end):
-                system.direction[i] = system.product[i] + lifted(i, old, matrix, system) + beta * system.direction[i]
+            turn(begin, end, beta, old, matrix, system)
             if lower == 0 and count < system.history.shape[0]:
                 system.history[count] = wp.sqrt(rr)
             count += 1
@@ -176,9 +173,8 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
     """`correct` as above, by blocks: few cubes by the first alone. All must have waited for the residual, and do for
     the solution."""
-    f, cube = solver_functions(scalar, dimensions, vector), coarse_functions(scalar, dimensions, vector)
+    cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     kept = sum_functions(width).kept
-    Solve = f.Solve
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
@@ -194,21 +190,16 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
         old = wp.int32(0)
         before = scalar(wp.static(REACH / MIDDLE))
         if block < sweepers:
-            for chunk in range(block, chunks, sweepers):
-                if chunk * width + lane < count:
-                    cube.load(chunk * width + lane, matrix, system)
+            cube.load(block * width + lane, count, sweepers * width, matrix, system)
         for turn in range(wp.static(DEGREE - 1)):
             now = cube.next_factor(before)
             if block < sweepers:
                 gather(gate, sweepers)
                 for chunk in range(block, chunks, sweepers):
                     a = chunk * width + lane
-                    own = wp.float64(0.0)
-                    if a < count:
-                        found = cube.sweep(a, old, before, now, matrix, system)
-                        own = f.inner(system.load[a], found)
+                    own = cube.sweep(a, wp.min(a + 1, count), 1, old, before, now, matrix, system)
                     if turn == wp.static(DEGREE - 2):
-                        inner += kept(chunk * width + lane, system.partial, 2 * sums, own)
+                        inner += kept(a, system.partial, 2 * sums, own)
             before = now
             old = count - old
         gather(gate, parties)
