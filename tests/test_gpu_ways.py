@@ -24,6 +24,7 @@ from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.mps import resident_solver
+from warpcrete.kernels.mps.two_level import resident_two_level
 from warpcrete.mps import stages
 from warpcrete.mps.grid import flow as grid_flow
 from warpcrete.mps.particles import MovingParticles
@@ -188,12 +189,15 @@ def test_blocks_that_wait_for_one_another_have_room_at_once(kind, scalar, tmp_pa
     """Registers: 65,536 of a multiprocessor. Were one block too many, the others would wait for it for ever."""
     rigid = len(kind) == 3
     for width, resident in ((BLOCK, resident_solver.RESIDENT), (resident_solver.WIDE, 1)):
-        kernel = resident_solver.resident_solver(scalar, *kind[:2], rigid, width)
-        kernel.module.options["block_dim"] = width
-        folder = tmp_path / str(width)
-        folder.mkdir()
-        found = registers(kernel, folder)
-        assert found and 8 < max(found) <= 65_536 // (width * resident)
+        kernels = [resident_solver.resident_solver(scalar, *kind[:2], rigid, width)]
+        if not rigid:
+            kernels.append(resident_two_level(scalar, *kind, width))
+        for number, kernel in enumerate(kernels):
+            kernel.module.options["block_dim"] = width
+            folder = tmp_path / f"{width}-{number}"
+            folder.mkdir()
+            found = registers(kernel, folder)
+            assert found and 8 < max(found) <= 65_536 // (width * resident)
 
 
 def test_blocks_of_a_solve_are_no_more_than_it_has_work_for_or_the_gpu_room():

@@ -268,6 +268,50 @@ def test_the_solves_solve(device, dimensions):
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_coarse_matrix_is_that_of_what_is_the_same_all_over_a_cube(device, dimensions):
+    """P^T A P, of pressures and of velocities, written out in full."""
+    flow = flow_of(device, dimensions=dimensions)
+    (part,) = step_parts(flow)
+    cubes, cells = flow.coarse.arrays, flow.coarse.cells
+    at = np.stack(np.unravel_index(np.arange(flow.coarse.count), cells, order="F"), 1)
+    for vector in (False, True):
+        flow.take(1)
+        if vector:
+            forces(flow)
+            for stage in part.gathered(True):
+                stage()
+        rows, n = neighbours(flow), flow.state.count
+        full = np.zeros((n, n))
+        full[rows[:, 0].astype(int), rows[:, 1].astype(int)] = -rows[:, 2]
+        full[np.arange(n), np.arange(n)] = flow.matrix.diagonal.numpy() + vector * flow.matrix.drag.numpy()
+        of = cubes.of.numpy()
+        solved = np.ones(n, bool) if vector else flow.matrix.free.numpy() == 0
+        gather = (of[:, None] == np.arange(flow.coarse.count)) & solved[:, None]
+        exact = gather.T @ full @ gather
+        coefficient = cubes.coefficient.numpy().reshape(-1, flow.coarse.count)
+        found = np.diag(cubes.diagonal.numpy().astype(float))
+        for a, b in np.argwhere(exact < 0):
+            step = at[b] - at[a]
+            assert np.all(np.abs(step) <= 1)
+            found[a, b] = -coefficient[np.dot(step + 1, 3 ** np.arange(dimensions)), a]
+        assert found == pytest.approx(exact, rel=1e-9, abs=1e-9 * exact.max())
+        middle = coefficient[3**dimensions // 2]
+        assert middle[np.diag(exact) > 0] == pytest.approx(1 / np.diag(exact)[np.diag(exact) > 0])
+        assert exact.sum() > 0 and np.count_nonzero(exact) > 3 * flow.coarse.count
+
+
+def test_iterations_hardly_grow_with_the_number_of_particles(device):
+    found = []
+    for spacing in (10e-3, 5e-3, 2.5e-3):
+        flow = flow_of(device, spacing=spacing, precision="float32")
+        flow.take(30)
+        found.append([each["iterations"] for each in flow.outcomes().values()])
+    # Measured: 13, 16 and 23 of velocities; by the diagonal alone 26, 54 and 106.
+    assert all(a < 30 for a, *_ in found), found
+    assert found[2][0] < 2 * found[0][0], found
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
 def test_viscous_solve_solves(device, dimensions):
     """All components at once, with the wall's resistance along the wall only, against NumPy."""
     flow = flow_of(device, dimensions=dimensions)

@@ -123,16 +123,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         count: wp.int32  # cubes that particles are gathered in
         wide: wp.int32  # of them across the pipe, 3 at least
         of: wp.array(dtype=wp.int32)  # cube of each particle, shape (n,)
-        first: wp.array(
-            dtype=wp.int32
-        )  # place of its particles in `member`, and the end of the last, shape (count + 1,)
+        first: wp.array(dtype=wp.int32)  # place of its particles in `member`, and their end, shape (count + 1,)
         member: wp.array(dtype=wp.int32)  # particles by cubes, shape (n,)
         neighbour: wp.array(dtype=wp.int32)  # cubes around each, -1: none, shape (3^d * count,)
         coefficient: wp.array(dtype=scalar)  # with those; in the middle one over the diagonal, shape (3^d * count,)
         diagonal: wp.array(dtype=scalar)  # shape (count,)
-        pair: wp.array(
-            dtype=scalar
-        )  # what each particle has with the cubes around its own, shape (3^d * n,), of a GPU alone
+        pair: wp.array(dtype=scalar)  # of each particle with the cubes around, shape (3^d * n,), of a GPU alone
 
     @wp.struct
     class Matrix:

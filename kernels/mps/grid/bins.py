@@ -1,4 +1,4 @@
-"""Which particles are in which cell, how full cells are, and what a gate has opened."""
+"""Which particles are in which cell, and what a gate has opened."""
 
 import functools
 from types import SimpleNamespace
@@ -6,68 +6,17 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED, STEPS
-from ..structs import mps_types
-from .cells import BIN, OPEN, Kind, cells_struct, grid_functions, grid_structs
+from .cells import BIN, Kind, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
 def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `clear`, `sort`, `order` and `fill`: which particles are in which cell, which cells are full."""
+    """Kernels `clear`, `sort` and `order`: which particles are in which cell."""
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    Particles, Mesh = structs.Particles, structs.Mesh
     f = grid_functions(scalar, of)
-    t = mps_types(scalar, dims)
-    vec, whole = t.vec, t.whole
-    around, corners = 3**dims, 2**dims
-
-    @wp.func
-    def level(crowd: scalar) -> scalar:
-        """How high a flat surface stands in a cell whose middle has such a crowd around it; 0 and 1 are its faces."""
-        if crowd < scalar(0.5):
-            return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
-        return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
-
-    @wp.func
-    def lies(crowd: scalar) -> scalar:
-        """The same of concrete that lies on a wall: what is below the middle counts in full."""
-        return wp.where(crowd < scalar(0.5), crowd, level(crowd))
-
-    @wp.func
-    def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
-        """Is there a wall on one side of a cell, no particle on the other, and no deep concrete beside it?"""
-        own = mesh.count[f.at(g, c)]
-        found = wp.bool(False)
-        for n in range(2 * dims):
-            o = f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))
-            if mesh.solid[o] > OPEN:
-                other = f.at(g, f.moved(c, n / 2, 1 - 2 * (n % 2)))
-                found = found or (mesh.solid[other] == OPEN and mesh.count[other] == 0)
-        for n in range(2 * dims):
-            found = found and mesh.count[f.at(g, f.moved(c, n / 2, 2 * (n % 2) - 1))] <= 2 * own
-        return found
-
-    @wp.func
-    def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
-        """What cells that are wall have of a particle of this cell: it counts here, or what lies on a wall would weigh
-        half."""
-        sum = scalar(0.0)
-        for n in range(1, corners):
-            o = c
-            part = scalar(1.0)
-            bits = n
-            for b in range(dims):
-                away = wp.abs(d[b]) / g.width[b]
-                if bits % 2 == 1:
-                    o[b] = o[b] + wp.where(d[b] > scalar(0.0), 1, -1)
-                    part *= away
-                else:
-                    part *= scalar(1.0) - away
-                bits = bits / 2
-            if mesh.solid[f.at(g, o)] != OPEN:
-                sum += part
-        return sum
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
@@ -106,50 +55,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
                 b -= 1
             mesh.bin[begin + b] = own
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Mesh):
-        """A task a slot: how much of a cell concrete fills, by the particles around its middle.
-
-        A flat surface spreads over two cells; half as steep again, and cut at nothing and all, it holds as much, and
-        how particles lie within the concrete does not matter.
-        """
-        if flags[HALTED] != 0:
-            return
-        number = wp.tid()
-        c = f.cell(g, number)
-        if not f.in_grid(g, c):
-            return
-        part = scalar(0.0)
-        crowd = scalar(1.0)
-        if mesh.solid[number] == OPEN:
-            place = vec()
-            for b in range(dims):
-                place[b] = g.origin[b] + (scalar(c[b]) + scalar(0.5)) * g.width[b]
-            sum = scalar(0.0)
-            for n in range(around):
-                o = whole()
-                rest = n
-                for b in range(dims):
-                    o[b] = c[b] + rest % 3 - 1
-                    rest = rest / 3
-                if f.in_grid(g, o):
-                    other = f.at(g, o)
-                    for k in range(mesh.count[other]):
-                        p = mesh.bin[other * BIN + k]
-                        d = particles.position[p] - place
-                        near = scalar(1.0)
-                        for b in range(dims):
-                            near *= wp.max(scalar(1.0) - wp.abs(d[b]) / g.width[b], scalar(0.0))
-                        if n == wp.static(around // 2):
-                            near += behind(g, mesh, c, d)
-                        sum += near * particles.mass[p]
-            crowd = sum * g.volume / geometry.hold[number]
-            part = wp.clamp(wp.where(film(mesh, g, c), lies(crowd), level(crowd)), scalar(0.0), scalar(1.0))
-        mesh.crowd[number] = crowd
-        mesh.fill[number] = part
-        mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)
-
-    return SimpleNamespace(clear=clear, sort=sort, order=order, fill=fill)
+    return SimpleNamespace(clear=clear, sort=sort, order=order)
 
 
 @functools.cache

@@ -22,6 +22,7 @@ from ...kernels.mps.conjugate_gradient import (
     serial_solver,
 )
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
+from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
@@ -164,7 +165,7 @@ class GridFlow(Stepping):
             *([opening] if opening else []),
             self.stage(bins.sort, self.count),
             self.stage(bins.order, slots),
-            *([] if self.full else [self.stage(bins.fill, slots)]),
+            *([] if self.full else [self.stage(fill_kernel(scalar, kind), slots)]),
             self.stage(gather_kernel(scalar, kind), slots),
             self.stage(viscosity.rates, slots),
             self.stage(viscosity.viscosity, slots),
