@@ -13,7 +13,7 @@ import warp as wp
 from ..common.control import HALTED
 from .structs import array_structs, flow_struct, row_place
 
-DEGREE = 6
+DEGREE = 4
 """Of the polynomial: the coarse matrix is applied once less."""
 RATIO = 20.0
 """Of the largest eigenvalue of the coarse matrix over its diagonal, which is 2 at most, and the smallest that the
@@ -137,10 +137,45 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     return SimpleNamespace(pairs=pairs, sums=sums)
 
 
+LANES = """
+#if defined(__CUDA_ARCH__)
+    return 32;
+#else
+    return 1;
+#endif
+"""
+SUMMED = """
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step /= 2)
+        EACH += __shfl_xor_sync(0xffffffffu, EACH, step);
+#endif
+    return part;
+"""
+
+
+@wp.func_native(LANES)
+def lanes() -> wp.int32:
+    """Threads that do as one, a warp of a GPU."""
+    ...
+
+
+@functools.cache
+def lane_sum(value):
+    """Function that sums what the lanes of a warp bring, for each of them."""
+    width = getattr(value, "_length_", 1)
+    each, one = (f"for (int c = 0; c < {width}; ++c) part[c]", "part[c]") if width > 1 else ("part", "part")
+    snippet = SUMMED.replace("EACH +=", f"{each} +=").replace("EACH", one)
+
+    @wp.func_native(snippet)
+    def sum(part: value) -> value: ...
+
+    return sum
+
+
 @functools.cache
 def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """What a thread does for every `by`th cube from `first` on: `load` it with the residual, which is the first guess,
-    and `sweep`, which gives its part of the inner product of load and guess.
+    """What the `lane`s of a warp do for every `by`th cube from `first` on: `load` it with the residual, which is the
+    first guess, and `sweep`; a thread of a CPU is its only lane.
 
     Loops are within, as functions on a CPU copy the structs that they are given.
     """
@@ -148,48 +183,51 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     Matrix = structs.Matrix
     Solve = structs.VectorSolve if vector else structs.NumberSolve
     value = Solve.vars["residual"].type.dtype
+    whole = lane_sum(value)
     slots = 3**dimensions
 
     @wp.func
-    def load(first: wp.int32, end: wp.int32, by: wp.int32, matrix: Matrix, system: Solve):
+    def load(
+        first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, matrix: Matrix, system: Solve
+    ):
         for a in range(first, end, by):
-            sum = value(scalar(0.0))
-            for k in range(matrix.coarse.first[a], matrix.coarse.first[a + 1]):
-                sum += system.residual[matrix.coarse.member[k]]
-            guess = sum * (matrix.coarse.coefficient[wp.static(slots // 2) * matrix.coarse.count + a] / scalar(MIDDLE))
-            system.load[a] = sum
-            system.change[a] = guess
-            system.lift[a] = guess
+            part = value(scalar(0.0))
+            for k in range(matrix.coarse.first[a] + lane, matrix.coarse.first[a + 1], abreast):
+                part += system.residual[matrix.coarse.member[k]]
+            sum = whole(part)
+            if lane == 0:
+                inverse = matrix.coarse.coefficient[wp.static(slots // 2) * matrix.coarse.count + a]
+                guess = sum * (inverse / scalar(MIDDLE))
+                system.load[a] = sum
+                system.change[a] = guess
+                system.lift[a] = guess
 
     @wp.func
     def sweep(
-        first: wp.int32, end: wp.int32, by: wp.int32, old: wp.int32, before: scalar, now: scalar, matrix: Matrix,
-        system: Solve,
-    ) -> wp.float64:  # fmt: skip
-        """A step of Chebyshev's recurrence from the guesses that begin at `old`."""
+        first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, old: wp.int32, before: scalar,
+        matrix: Matrix, system: Solve,
+    ) -> scalar:  # fmt: skip
+        """A step of Chebyshev's recurrence from the guesses that begin at `old`; gives its next factor."""
         count = matrix.coarse.count
-        inner = wp.float64(0.0)
+        now = scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)
         for a in range(first, end, by):
-            own = system.lift[old + a]
-            left = system.load[a] - matrix.coarse.diagonal[a] * own
-            for s in range(slots):
-                if s != wp.static(slots // 2):
-                    other = matrix.coarse.neighbour[s * count + a]
-                    if other >= 0:
-                        left += matrix.coarse.coefficient[s * count + a] * system.lift[old + other]
-            inverse = matrix.coarse.coefficient[wp.static(slots // 2) * count + a]
-            change = (now * before) * system.change[a] + (scalar(wp.static(2.0 / REACH)) * now * inverse) * left
-            system.change[a] = change
-            system.lift[count - old + a] = own + change
-            if wp.static(vector):
-                inner += wp.float64(wp.dot(system.load[a], own + change))
-            else:
-                inner += wp.float64(system.load[a] * (own + change))
-        return inner
+            part = value(scalar(0.0))
+            for s in range(lane, slots, abreast):
+                other = matrix.coarse.neighbour[s * count + a]
+                if other >= 0 and s != wp.static(slots // 2):
+                    part += matrix.coarse.coefficient[s * count + a] * system.lift[old + other]
+            sum = whole(part)
+            if lane == 0:
+                own = system.lift[old + a]
+                left = system.load[a] + sum - matrix.coarse.diagonal[a] * own
+                inverse = matrix.coarse.coefficient[wp.static(slots // 2) * count + a]
+                change = (now * before) * system.change[a] + (scalar(wp.static(2.0 / REACH)) * now * inverse) * left
+                system.change[a] = change
+                system.lift[count - old + a] = own + change
+                if wp.static(vector):
+                    system.inner[a] = wp.float64(wp.dot(system.load[a], own + change))
+                else:
+                    system.inner[a] = wp.float64(system.load[a] * (own + change))
+        return now
 
-    @wp.func
-    def next_factor(before: scalar) -> scalar:
-        """Of the recurrence; REACH / MIDDLE is the first."""
-        return scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)
-
-    return SimpleNamespace(load=load, sweep=sweep, next_factor=next_factor)
+    return SimpleNamespace(load=load, sweep=sweep)

@@ -154,6 +154,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             load: wp.array(dtype=value)  # residual of each cube of the coarse grid, shape (cubes,)
             lift: wp.array(dtype=value)  # its solution, two in turn, shape (2 cubes,)
             change: wp.array(dtype=value)  # of that, shape (cubes,)
+            inner: wp.array(dtype=wp.float64)  # product of load and solution of each cube, shape (cubes,)
             partial: wp.array(dtype=wp.float64)  # sums of each block or thread: three kinds, one after the other
             outcome: wp.array(dtype=wp.float64)  # iterations, norms of the residual before and after, shape (OUTCOME,)
             history: wp.array(dtype=wp.float64)  # norm of the residual after each iteration

@@ -10,10 +10,10 @@ import warp as wp
 
 from ..common.barrier import meet
 from ..common.control import FAILED, HALTED
-from ..common.reductions import BLOCK
+from ..common.reductions import BLOCK, block_sums
 from ..common.rows import entry_product, row_product
 from ..common.types import cpu_flags
-from .coarse import DEGREE, MIDDLE, REACH, coarse_functions
+from .coarse import DEGREE, MIDDLE, REACH, coarse_functions, lanes
 from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, serial_rows, solver_functions
 from .resident_solver import RESIDENT, WIDE, gather, row_functions, sum_functions
 from .structs import array_structs, flow_struct
@@ -32,19 +32,20 @@ def serial_correction(scalar, dimensions: int, vector: bool):
         matrix: Matrix, system: Solve,
     ) -> wp.int32:  # fmt: skip
         count = matrix.coarse.count
-        for part in range(lower, upper):
-            cube.load(count * part / parts, count * (part + 1) / parts, 1, matrix, system)
+        first = count * lower / parts
+        end = count * upper / parts
+        cube.load(first, end, 1, 0, 1, matrix, system)
         old = wp.int32(0)
-        before = scalar(wp.static(REACH / MIDDLE))
+        factor = scalar(wp.static(REACH / MIDDLE))
         for _ in range(wp.static(DEGREE - 1)):
             meet(gate, workers)
-            now = cube.next_factor(before)
-            for part in range(lower, upper):
-                system.partial[2 * parts + part] = cube.sweep(
-                    count * part / parts, count * (part + 1) / parts, 1, old, before, now, matrix, system
-                )
-            before = now
+            factor = cube.sweep(first, end, 1, 0, 1, old, factor, matrix, system)
             old = count - old
+        for part in range(lower, upper):
+            own = wp.float64(0.0)
+            for a in range(count * part / parts, count * (part + 1) / parts):
+                own += system.inner[a]
+            system.partial[2 * parts + part] = own
         meet(gate, workers)
         return old
 
@@ -171,39 +172,28 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
-    """`correct` as above, by blocks: few cubes by the first alone. All must have waited for the residual, and do for
-    the solution."""
+    """`correct` as above, by blocks, a warp a cube. All must have waited for the residual, and do for the solution."""
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
-    kept = sum_functions(width).kept
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
     def correct(
-        lane: wp.int32, block: wp.int32, parties: wp.int32, gate: wp.array(dtype=wp.int32), sums: wp.int32,
-        matrix: Matrix, system: Solve,
-    ):  # fmt: skip
-        """Where the solution begins, and this thread's part of its inner product with the residual."""
+        thread: wp.int32, parties: wp.int32, gate: wp.array(dtype=wp.int32), matrix: Matrix, system: Solve
+    ) -> wp.int32:  # fmt: skip
         count = matrix.coarse.count
-        chunks = (count + width - 1) / width
-        sweepers = wp.where(chunks <= 4, 1, parties)
-        inner = wp.float64(0.0)
+        abreast = lanes()
+        lane = thread % abreast
+        warps = parties * width / abreast
+        first = thread / abreast
+        cube.load(first, count, warps, lane, abreast, matrix, system)
         old = wp.int32(0)
-        before = scalar(wp.static(REACH / MIDDLE))
-        if block < sweepers:
-            cube.load(block * width + lane, count, sweepers * width, matrix, system)
-        for turn in range(wp.static(DEGREE - 1)):
-            now = cube.next_factor(before)
-            if block < sweepers:
-                gather(gate, sweepers)
-                for chunk in range(block, chunks, sweepers):
-                    a = chunk * width + lane
-                    own = cube.sweep(a, wp.min(a + 1, count), 1, old, before, now, matrix, system)
-                    if turn == wp.static(DEGREE - 2):
-                        inner += kept(a, system.partial, 2 * sums, own)
-            before = now
+        factor = scalar(wp.static(REACH / MIDDLE))
+        for _ in range(wp.static(DEGREE - 1)):
+            gather(gate, parties)
+            factor = cube.sweep(first, count, warps, lane, abreast, old, factor, matrix, system)
             old = count - old
         gather(gate, parties)
-        return old, inner
+        return old
 
     return correct
 
@@ -211,7 +201,7 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
     """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
-    kept, summed = sum_functions(width).kept, sum_functions(width).summed
+    kept, summed, total = sum_functions(width).kept, sum_functions(width).summed, block_sums(width).total
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -264,7 +254,6 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
         block = thread / width
         halted = flags[HALTED]
         sums = (count + width - 1) / width
-        cubes = (matrix.coarse.count + width - 1) / width
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         for chunk in range(block, sums, parties):
@@ -282,8 +271,8 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
             rr = wp.float64(0.0)
             goal = wp.float64(0.0)
         while rr > goal and done < maximum:
-            old, own_lift = correct(lane, block, parties, gate, sums, matrix, system)
-            rz = summed(rz, lane, system.partial, 0, sums) + summed(own_lift, lane, system.partial, 2 * sums, cubes)
+            old = correct(thread, parties, gate, matrix, system)
+            rz = summed(rz, lane, system.partial, 0, sums) + total(lane, system.inner, 0, matrix.coarse.count)
             if done > 0:
                 beta = scalar(rz / before)
             before = rz

@@ -129,7 +129,7 @@ class MovingParticles(Stepping):
         bodies = 0 if self.state.grains is None else self.state.grains.count
         cubes = 0 if self.coarse is None else self.coarse.count
         sizes = {
-            "load": cubes, "lift": 2 * cubes, "change": cubes,
+            "load": cubes, "lift": 2 * cubes, "change": cubes, "inner": cubes,
             "partial": 3 * (self.blocks + -(-bodies // BLOCK) if self.parallel else self.threads), "outcome": OUTCOME,
             "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
             "preconditioned": self.count if self.parallel else 0,

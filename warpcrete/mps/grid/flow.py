@@ -106,7 +106,7 @@ class GridFlow(Stepping):
             "history": HISTORY,
             "direction": rows * (2 if self.parallel else 1),
             "preconditioned": rows if self.parallel else 0,
-            **dict.fromkeys(("load", "lift", "change"), 0),
+            **dict.fromkeys(("load", "lift", "change", "inner"), 0),
         }
         for name in structs.NumberSolve.vars:
             setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))
