@@ -270,7 +270,7 @@ def test_the_solves_solve(device, dimensions):
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_coarse_matrix_is_that_of_what_is_the_same_all_over_a_cube(device, dimensions):
     """P^T A P, of pressures and of velocities, written out in full."""
-    flow = flow_of(device, dimensions=dimensions)
+    flow = flow_of(device, dimensions=dimensions, length=0.6 if dimensions == 2 else 0.5)
     (part,) = step_parts(flow)
     cubes, cells = flow.coarse.arrays, flow.coarse.cells
     at = np.stack(np.unravel_index(np.arange(flow.coarse.count), cells, order="F"), 1)
@@ -302,13 +302,12 @@ def test_the_coarse_matrix_is_that_of_what_is_the_same_all_over_a_cube(device, d
 
 def test_iterations_hardly_grow_with_the_number_of_particles(device):
     found = []
-    for spacing in (10e-3, 5e-3, 2.5e-3):
+    for spacing in (5e-3, 2.5e-3):
         flow = flow_of(device, spacing=spacing, precision="float32")
         flow.take(30)
         found.append([each["iterations"] for each in flow.outcomes().values()])
-    # Measured: 13, 16 and 23 of velocities; by the diagonal alone 26, 54 and 106.
-    assert all(a < 30 for a, *_ in found), found
-    assert found[2][0] < 2 * found[0][0], found
+    # Measured: 17 and 22 of velocities; by the diagonal alone 54 and 106.
+    assert all(a < 30 for a, *_ in found) and found[1][0] < 1.5 * found[0][0], found
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])

@@ -20,7 +20,7 @@ from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
 from ..kernels.mps.paper_scheme import LAPLACIAN
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
-from .coarse import CoarseGrid
+from .coarse import LEAST, WIDTH, CoarseGrid
 from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 from .stepping import Stepping
@@ -118,9 +118,9 @@ class MovingParticles(Stepping):
 
     def _coarse(self) -> CoarseGrid | None:
         """That of the solves; rigid grains, which are larger than its cubes, and the printed scheme have none."""
-        if self.grains is not None or self.scene.paper_scheme:
-            return None
         layout, reach = self.state.layout, self._list_reach[0]
+        if self.grains is not None or self.scene.paper_scheme or layout.height < LEAST * WIDTH * layout.spacing:
+            return None
         return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
