@@ -14,8 +14,8 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, row_place
 
 DEGREE = 4
-"""Of the polynomial: the coarse matrix is applied once less. 6 or 8 take up to a third fewer iterations of tall columns,
-each of which waits longer: no gain on a GPU."""
+"""Of the polynomial: the coarse matrix is applied once less. 6 or 8 take a third fewer iterations of tall columns, each
+of which waits longer: no gain on a GPU."""
 RATIO = 20.0
 """Of the largest eigenvalue of the coarse matrix over its diagonal, which is 2 at most, and the smallest that the
 polynomial is made for."""

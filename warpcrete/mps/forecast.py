@@ -109,9 +109,15 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "yield stress": f"{concrete.yield_stress:g} Pa, regularised" if concrete.yield_stress else "left out",
         "slip layer": f"{concrete.slip_viscosity:g} Pa s/m and {concrete.slip_yield:g} Pa",
         "scheme": _scheme(scene),
+        "solves": _solves(flow),
         "precision": simulation.precision,
         "threads": "a thread a particle" if flow.parallel else f"{flow.threads}",
     }
+
+
+def _solves(flow: Any) -> str:
+    coarse = getattr(flow, "coarse", None)
+    return "by the diagonal" if coarse is None else f"with a coarse grid of {coarse.count} cubes"
 
 
 def _scheme(scene: FluidScene) -> str:
