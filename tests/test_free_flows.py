@@ -120,16 +120,17 @@ def test_a_slope_of_a_fluid_levels_and_one_of_a_stiff_paste_stays(device):
     assert run.series["fastest"][-1] < 1e-4
 
 
-def test_concrete_in_the_air_falls_freely(device):
+@pytest.mark.parametrize(("precision", "off"), [("float32", 5e-3), ("float64", 1e-6)])
+def test_concrete_in_the_air_falls_freely(device, precision, off):
+    """Measured: exact in double precision; rounding of stiff forces makes it 0.16 % (CPU), 0.31 % (H200) too fast."""
     outline = ((0.0, 0.2), (0.1, 0.2), (0.1, 0.3), (0.0, 0.3))
     scene = slump(lift_time=0.0, duration=0.1, sample_interval=0.05)
     scene = dataclasses.replace(scene, outline=outline, test="none", height=0.4)
-    simulation = FreeSimulation(scene, device=device)
+    simulation = FreeSimulation(scene, device=device, precision=precision)
     simulation.run()
     speed = simulation.state.particles.velocity.numpy()
-    # Of what a thin rim of its surface does, where cells are hardly filled, little is told.
-    assert np.median(speed[:, 1]) == pytest.approx(-9.81 * 0.1, rel=3e-3)
-    assert np.mean(np.abs(speed[:, 1] + 9.81 * 0.1) < 0.01) > 0.95 and np.abs(speed[:, 0]).max() < 0.02
+    assert speed[:, 1] == pytest.approx(np.full(len(speed), -9.81 * 0.1), rel=off)
+    assert np.abs(speed[:, 0]).max() < 1e-5
     fallen = simulation.state.particles.position.numpy()[:, 1].mean() - 0.25
     assert fallen == pytest.approx(-0.5 * 9.81 * 0.1**2, rel=0.03)  # whole steps
 
