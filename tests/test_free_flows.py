@@ -1,7 +1,6 @@
 """Concrete with a free surface: rest, fall, slump and spread; layouts, checkpoints, refusals."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.free.simulation import FreeSimulation
-from warpcrete.mps.free.theory import cone_volume, long_heap_spread, tall_cone_slump
+from warpcrete.mps.free.theory import cone_volume
 from warpcrete.mps.grid.geometry import GATE, NONE
 from warpcrete.mps.grid.state import SLOT_BYTES
 from warpcrete.mps.theory import Concrete
@@ -40,26 +39,6 @@ def slump(**given):
     """A small number of cells, and nothing left of inertia."""
     own = {"concrete": "own", "density": 2300.0, "viscosity": 50.0, "yield_stress": 1000.0, "spacing": 0.01}
     return scenes.slump(**own | given)
-
-
-# Closed forms.
-
-
-def test_a_long_heap_holds_the_volume_under_its_parabola():
-    """h^2 = 2 tau (R - r) / (rho g), turned about the axis."""
-    volume, tau, rho = 5.5e-3, 50.0, 2300.0
-    radius = long_heap_spread(volume, tau, rho) / 2
-    r = (np.arange(200000) + 0.5) * radius / 200000
-    height = np.sqrt(2 * tau * (radius - r) / (rho * 9.81))
-    assert np.sum(2 * np.pi * r * height) * radius / 200000 == pytest.approx(volume, rel=1e-5)
-
-
-def test_a_tall_cylinder_slumps_as_murata_has_it():
-    """s / H = 1 - 2 t (1 - ln 2 t), t = tau / (rho g H) (Pashias et al. 1996), and not at all above half the weight."""
-    for t in (0.05, 0.2, 0.4):
-        found = tall_cone_slump(0.1, 0.1, 0.3, t * 2000 * 9.81 * 0.3, 2000.0, bears=2)
-        assert found / 0.3 == pytest.approx(1 - 2 * t * (1 - math.log(2 * t)), abs=1e-4)
-    assert tall_cone_slump(0.1, 0.1, 0.3, 0.51 * 2000 * 9.81 * 0.3, 2000.0, bears=2) == 0
 
 
 # Layouts.

@@ -21,13 +21,11 @@ from warpcrete.kernels.mps.grid.walls import STICKY
 from warpcrete.mps.free.layout import fill_cells, free_layout
 from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
-from warpcrete.mps.free.theory import box_at_rest, duct_stress, funnel_time
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import (
     BARE,
     PLATE,
     ROUGH,
-    WALL,
     Room,
     geometry_of,
     nearest_wall,
@@ -86,31 +84,6 @@ def test_what_a_round_vessel_leaves_of_cells_and_faces():
     assert set(np.unique(g.solid)) == {0, ROUGH}
     inner = g.hold[n // 2, n // 2, n // 2]
     assert inner == pytest.approx(h**3, rel=1e-6)
-
-
-@pytest.mark.parametrize("axial", [False, True])
-def test_a_cell_holds_what_its_particles_weigh(axial):
-    """Beside walls on the grid's lines and within the concrete, the crowd of the particles that are placed is one; what
-    lies between a cell's middle and a wall counts in full."""
-    room = Room((8, 6), (0.1, 0.1), (0.0, 0.0), (("mirror" if axial else WALL, WALL), (WALL, BARE)))
-    g = geometry_of(room, [], axial)
-    places, mass = fill_cells(room, 3, lambda x: np.ones(len(x), bool))
-    radius = places[:, 0] if axial else np.ones(len(places))
-    for i, k in ((0, 0), (3, 0), (4, 3), (7, 2)):
-        middle = np.array([(i + 0.5) * 0.1, (k + 0.5) * 0.1])
-        away = np.abs(places - middle) / 0.1
-        walls = np.array([[places[:, 0] < middle[0], places[:, 0] > middle[0]][i == 7], places[:, 1] < middle[1]]).T
-        away[walls & [i in (0, 7), k == 0] & (away < 0.5)] = 0
-        near = np.maximum(1 - away, 0).prod(1)
-        whole = np.sum(near * mass * radius) * (0.1 / 3) ** 2
-        assert whole == pytest.approx(g.hold[k + 1, i + 1], rel=0.012 if axial else 1e-9)
-
-
-def test_particles_weigh_what_there_is_of_cells_that_an_edge_passes():
-    room = Room((20, 20), (0.1, 0.1), (-1.0, -1.0), ((BARE, BARE),) * 2)
-    places, mass = fill_cells(room, 3, lambda x: np.linalg.norm(x - [0.013, 0.027], axis=1) < 0.77)
-    assert mass.sum() * (0.1 / 3) ** 2 == pytest.approx(math.pi * 0.77**2, rel=3e-3)
-    assert np.all(mass[np.linalg.norm(places, axis=1) < 0.5] == 1)
 
 
 # Walls that cut cells.
@@ -289,41 +262,6 @@ def test_no_particle_is_within_a_wall(device):
     assert gap.min() > -0.15 * scene.spacing and x[:, 0].max() > 0.16
     beside = np.abs(x[:, 0] - scene.walls[0].vertices[:, 0].mean()) < 0.006
     assert beside.sum() > 30 and run.finished
-
-
-# Closed forms.
-
-
-def test_ducts_between_the_known_ones():
-    """A slot and a square: Newton's resistance, and Bingham's in the slot."""
-    wide = np.array([1.0])
-    newton, radius = duct_stress(np.array([0.1]), wide, 1.0, 20.0, 0.0)
-    assert newton / radius == pytest.approx(28.454 * 20 * 0.1, rel=2e-3)  # of a square of 1 m (Shah & London 1978)
-    stress, radius = duct_stress(np.array([0.1]), np.array([1e6]), 0.02, 20.0, 50.0)
-    q = 50.0 / stress
-    assert 0.01 * stress / (3 * 20.0) * (1 - 1.5 * q + 0.5 * q**3) == pytest.approx(0.1, rel=1e-4)
-
-
-def test_a_straight_funnel_empties_as_a_duct_does():
-    """Weight over resistance is the same at any level: the speed is one, but for inertia."""
-    time = funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 500.0, 0.0, 2300.0)
-    speed = 2300 * 9.81 * 0.06**2 / (28.454 * 500.0)
-    assert time == pytest.approx(0.6 / speed, rel=0.01)
-    assert math.isinf(funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 20.0, 500.0, 2300.0))
-
-
-@pytest.mark.parametrize(("tau", "reaches"), [(50.0, True), (300.0, False)])
-def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
-    near, far, reach = box_at_rest(0.012, 0.7, 0.2, tau, 2300.0)
-    assert (far > 0) == reaches and (reach == 0.7) == reaches
-    x = np.linspace(0, reach, 20001)
-    depth = np.empty_like(x)
-    depth[-1] = max(far, 1e-6)
-    for n in range(len(x) - 1, 0, -1):
-        slope = tau * (0.2 + 2 * depth[n]) / (2300 * 9.81 * 0.2 * depth[n])
-        depth[n - 1] = depth[n] + min(slope * (x[1] - x[0]), 1e-3)
-    assert depth[0] == pytest.approx(near, rel=0.01)
-    assert np.trapezoid(depth, x) * 0.2 == pytest.approx(0.012, rel=0.01)
 
 
 # Funnel and L-box.

@@ -1,0 +1,106 @@
+"""Closed forms of slump, spread, heaps, funnels and boxes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from warpcrete.mps.free.theory import (
+    HEAPS,
+    box_at_rest,
+    cone_volume,
+    duct_stress,
+    funnel_time,
+    heap_at_rest,
+    heap_depth,
+    long_heap_spread,
+    tall_cone_slump,
+    viscous_front,
+)
+
+
+def test_a_long_heap_holds_the_volume_under_its_parabola():
+    """h^2 = 2 tau (R - r) / (rho g), turned about the axis."""
+    volume, tau, rho = 5.5e-3, 50.0, 2300.0
+    radius = long_heap_spread(volume, tau, rho) / 2
+    r = (np.arange(200000) + 0.5) * radius / 200000
+    height = np.sqrt(2 * tau * (radius - r) / (rho * 9.81))
+    assert np.sum(2 * np.pi * r * height) * radius / 200000 == pytest.approx(volume, rel=1e-5)
+
+
+def test_a_tall_cylinder_slumps_as_murata_has_it():
+    """s / H = 1 - 2 t (1 - ln 2 t), t = tau / (rho g H) (Pashias et al. 1996), and not at all above half the weight."""
+    for t in (0.05, 0.2, 0.4):
+        found = tall_cone_slump(0.1, 0.1, 0.3, t * 2000 * 9.81 * 0.3, 2000.0, bears=2)
+        assert found / 0.3 == pytest.approx(1 - 2 * t * (1 - math.log(2 * t)), abs=1e-4)
+    assert tall_cone_slump(0.1, 0.1, 0.3, 0.51 * 2000 * 9.81 * 0.3, 2000.0, bears=2) == 0
+
+
+@pytest.mark.parametrize("form", ["plane", "axial"])
+def test_a_heap_is_borne_by_the_plate_and_by_its_stretch(form):
+    """The slope of its depth, from its weight, what the plate bears, and what resists the stretch, by differences."""
+    tau, rho, g = 50.0, 2300.0, 9.81
+    inward = np.linspace(0.0, 0.3, 100001)
+    depth = heap_depth(inward, tau, rho, g, form)
+    stretch = {"plane": 2.0, "axial": math.sqrt(3)}[form] * math.pi / 4 * tau
+    change = np.gradient(0.5 * rho * g * depth**2 - stretch * depth, inward)
+    assert change[1:-1] == pytest.approx(np.full(len(inward) - 2, tau), rel=1e-6)
+    assert depth[0] == pytest.approx(2 * HEAPS[form] * tau / (rho * g))
+
+
+def test_a_heap_holds_its_volume_and_becomes_the_long_one():
+    volume, rho = cone_volume(0.05, 0.1, 0.3), 2300.0
+    reach, depth = heap_at_rest(volume, 50.0, rho)
+    r = (np.arange(200000) + 0.5) * reach / 200000
+    assert np.sum(2 * np.pi * r * heap_depth(reach - r, 50.0, rho)) * reach / 200000 == pytest.approx(volume, rel=1e-5)
+    assert (2 * reach, depth) == pytest.approx((0.5621, 0.0384), rel=2e-3)
+    flat, _ = heap_at_rest(0.01, 50.0, 2000.0, form="plane")
+    x = (np.arange(200000) + 0.5) * flat / 200000
+    assert np.mean(heap_depth(flat - x, 50.0, 2000.0, form="plane")) * flat == pytest.approx(0.01, rel=1e-5)
+    off = [2 * heap_at_rest(volume, tau, rho)[0] / long_heap_spread(volume, tau, rho) - 1 for tau in (50.0, 5.0, 0.05)]
+    assert np.all(np.array(off) < 0) and np.all(np.diff(off) > 0) and abs(off[2]) < 2e-3
+
+
+def test_a_viscous_front_is_that_of_huppert_s_similar_shape():
+    """h = V / x_N (1 - y^2)^(1/3) over its mean runs as its slope drives it: rho g h^3 / (3 mu) dh/dx, at y = 0.5."""
+    volume, viscosity, rho, g, y, little = 0.01, 10.0, 2000.0, 9.81, 0.5, 1e-4
+    shape = lambda s: (1 - s * s) ** (1 / 3)  # noqa: E731
+    mean = float(np.mean(shape((np.arange(400000) + 0.5) / 400000)))
+    front = viscous_front(volume, viscosity, rho, 4.0)
+    speed = (viscous_front(volume, viscosity, rho, 4.0 + little) - front) / little
+    depth = volume / front / mean * shape(y)
+    slope = volume / front / mean * (shape(y + little) - shape(y - little)) / (2 * little * front)
+    # Every place goes at y times the front's speed, and that is its mean over the depth.
+    assert -rho * g * depth**2 * slope / (3 * viscosity) == pytest.approx(y * speed, rel=2e-3)
+
+
+def test_ducts_between_the_known_ones():
+    """A slot and a square: Newton's resistance, and Bingham's in the slot."""
+    wide = np.array([1.0])
+    newton, radius = duct_stress(np.array([0.1]), wide, 1.0, 20.0, 0.0)
+    assert newton / radius == pytest.approx(28.454 * 20 * 0.1, rel=2e-3)  # of a square of 1 m (Shah & London 1978)
+    stress, radius = duct_stress(np.array([0.1]), np.array([1e6]), 0.02, 20.0, 50.0)
+    q = 50.0 / stress
+    assert 0.01 * stress / (3 * 20.0) * (1 - 1.5 * q + 0.5 * q**3) == pytest.approx(0.1, rel=1e-4)
+
+
+def test_a_straight_funnel_empties_as_a_duct_does():
+    """Weight over resistance is the same at any level: the speed is one, but for inertia."""
+    time = funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 500.0, 0.0, 2300.0)
+    speed = 2300 * 9.81 * 0.06**2 / (28.454 * 500.0)
+    assert time == pytest.approx(0.6 / speed, rel=0.01)
+    assert math.isinf(funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 20.0, 500.0, 2300.0))
+
+
+@pytest.mark.parametrize(("tau", "reaches"), [(50.0, True), (300.0, False)])
+def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
+    near, far, reach = box_at_rest(0.012, 0.7, 0.2, tau, 2300.0)
+    assert (far > 0) == reaches and (reach == 0.7) == reaches
+    x = np.linspace(0, reach, 20001)
+    depth = np.empty_like(x)
+    depth[-1] = max(far, 1e-6)
+    for n in range(len(x) - 1, 0, -1):
+        slope = tau * (0.2 + 2 * depth[n]) / (2300 * 9.81 * 0.2 * depth[n])
+        depth[n - 1] = depth[n] + min(slope * (x[1] - x[0]), 1e-3)
+    assert depth[0] == pytest.approx(near, rel=0.01)
+    assert np.trapezoid(depth, x) * 0.2 == pytest.approx(0.012, rel=0.01)
