@@ -52,7 +52,7 @@ def filled(device, change):
 
 @pytest.mark.parametrize("up", [0.0, 0.15, 0.45, 0.6, 0.9])
 def test_a_cell_is_as_full_as_a_flat_surface_stands_in_it(device, up):
-    """Concrete to the fifth row and a part of the next, particles a third of a cell apart; measured: 0.021 cells, beside
+    """Concrete to row five and a part of the next, particles a third of a cell apart; measured: 0.021 cells, beside
     a wall 0.041."""
 
     def raised(place, mass):
