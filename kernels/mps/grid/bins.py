@@ -6,12 +6,15 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED, STEPS
-from .cells import BIN, Kind, cells_struct, grid_functions, grid_structs
+from .cells import Kind, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
 def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `clear`, `sort` and `order`: which particles are in which cell."""
+    """Kernels `clear`, `tally`, `allot`, `sort` and `order`: which particles are in which cell.
+
+    A cell takes as much of one list as it has particles; where its part begins is as it happens, and matters nothing.
+    """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
@@ -22,32 +25,48 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
     def clear(mesh: Mesh):
         """A task a slot: no particles."""
         mesh.count[wp.tid()] = 0
+        if wp.tid() == 0:
+            mesh.listed[0] = 0
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sort(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
-        """A task a particle: into its cell's bin."""
+    def tally(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
+        """A task a particle: its cell, and how many are there already."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
-        if particles.mass[p] == scalar(0.0):
-            return
-        c = f.cell_of(g, particles.position[p])
-        place = wp.atomic_add(mesh.count, c, 1)
-        if place < BIN:
-            mesh.bin[c * BIN + place] = p
+        c = wp.int32(-1)
+        if particles.mass[p] > scalar(0.0):
+            c = f.cell_of(g, particles.position[p])
+            mesh.place[p] = wp.atomic_add(mesh.count, c, 1)
+        mesh.home[p] = c
 
     @wp.kernel(enable_backward=False, module="unique")
-    def order(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def allot(flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        """A task a slot: where the cell's particles begin."""
+        if flags[HALTED] != 0:
+            return
+        c = wp.tid()
+        if mesh.count[c] > 0:
+            mesh.begin[c] = wp.atomic_add(mesh.listed, 0, mesh.count[c])
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sort(flags: wp.array(dtype=wp.int32), mesh: Mesh):
+        """A task a particle: into its cell's part of the list."""
+        if flags[HALTED] != 0:
+            return
+        p = wp.tid()
+        c = mesh.home[p]
+        if c >= 0:
+            mesh.bin[mesh.begin[c] + mesh.place[p]] = p
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def order(flags: wp.array(dtype=wp.int32), mesh: Mesh):
         """A task a slot: particles of a cell in the order of their numbers, for equal sums."""
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
-        if not f.in_grid(g, f.cell(g, number)):
-            return
-        count = wp.min(mesh.count[number], BIN)
-        mesh.count[number] = count
-        begin = number * BIN
-        for a in range(1, count):
+        c = wp.tid()
+        begin = mesh.begin[c]
+        for a in range(1, mesh.count[c]):
             own = mesh.bin[begin + a]
             b = a
             while b > 0 and mesh.bin[begin + b - 1] > own:
@@ -55,7 +74,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
                 b -= 1
             mesh.bin[begin + b] = own
 
-    return SimpleNamespace(clear=clear, sort=sort, order=order)
+    return SimpleNamespace(clear=clear, tally=tally, allot=allot, sort=sort, order=order)
 
 
 @functools.cache

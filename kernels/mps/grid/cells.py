@@ -32,8 +32,6 @@ FIXED = wp.constant(2)  # side of a wall, which has its velocity across it
 INSIDE = wp.constant(3)  # within walls
 ROUGH = wp.constant(4)  # wall that concrete sticks to; those above have velocities
 GHOST = wp.constant(4)  # within a wall, of a cell or an edge that is not
-BIN = wp.constant(40)
-"""Particles that a cell has room for; more do not count."""
 # Slots of `drive`.
 FORCE = wp.constant(0)  # per volume that the next step begins with [N/m3]
 ACTED = wp.constant(1)  # per volume that acted in this step [N/m3]
@@ -114,7 +112,11 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         crowd: wp.array(dtype=scalar)  # of particles around a cell's middle, over as many as fill it
         fill: wp.array(dtype=scalar)  # part of the cell's room that concrete fills
         count: wp.array(dtype=wp.int32)  # particles in a cell
-        bin: wp.array(dtype=wp.int32)  # which, shape (slots * BIN,)
+        begin: wp.array(dtype=wp.int32)  # where they are in `bin`
+        listed: wp.array(dtype=wp.int32)  # particles that cells have room for in it so far, shape (1,)
+        home: wp.array(dtype=wp.int32)  # cell of a particle, or -1, shape (n,) as the next
+        place: wp.array(dtype=wp.int32)  # of a particle among those of its cell
+        bin: wp.array(dtype=wp.int32)  # particles of a cell, then those of another
         kind: wp.array(dtype=wp.int32)  # of a face, shape (axes * slots,) as the next
         velocity: wp.array(dtype=scalar)  # across a face [m/s]
         start: wp.array(dtype=scalar)  # that velocity before forces act [m/s]

@@ -7,7 +7,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types
-from .cells import BIN, OPEN, Kind, cells_struct, grid_functions, grid_structs
+from .cells import OPEN, Kind, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
@@ -113,7 +113,7 @@ def fill_kernel(scalar, of: Kind):
                 if f.in_grid(g, o):
                     other = f.at(g, o)
                     for k in range(mesh.count[other]):
-                        p = mesh.bin[other * BIN + k]
+                        p = mesh.bin[mesh.begin[other] + k]
                         d = particles.position[p] - place
                         near = scalar(1.0)
                         for b in range(dims):

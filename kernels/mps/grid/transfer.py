@@ -9,7 +9,6 @@ from ...common.control import HALTED, STEPS
 from ..structs import mps_types
 from .cells import (
     AIR,
-    BIN,
     FIXED,
     GHOST,
     INSIDE,
@@ -94,7 +93,7 @@ def gather_kernel(scalar, of: Kind):
             if there:
                 other = f.at(g, o)
                 for k in range(mesh.count[other]):
-                    p = mesh.bin[other * BIN + k]
+                    p = mesh.bin[mesh.begin[other] + k]
                     d = place - particles.position[p]
                     if wp.static(of.periodic):
                         length = scalar(g.n[last]) * g.width[last]

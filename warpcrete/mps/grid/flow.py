@@ -163,6 +163,8 @@ class GridFlow(Stepping):
         return [
             self.stage(bins.clear, slots),
             *([opening] if opening else []),
+            self.stage(bins.tally, self.count),
+            self.stage(bins.allot, slots),
             self.stage(bins.sort, self.count),
             self.stage(bins.order, slots),
             *([] if self.full else [self.stage(fill_kernel(scalar, kind), slots)]),

@@ -11,7 +11,7 @@ import warp as wp
 from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
-from ...kernels.mps.grid.cells import BIN, DRIVE, FORCE, INSIDE, cells_struct, grid_structs
+from ...kernels.mps.grid.cells import DRIVE, FORCE, INSIDE, cells_struct, grid_structs
 from .geometry import NONE, ROUGH, STICKS, Geometry
 from .layout import GridLayout
 
@@ -19,9 +19,11 @@ PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
 """What the next step depends on."""
 FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
-"""Arrays that have a row for each face; those of EDGES one for each edge, `bin` BIN a cell, the rest one."""
+"""Arrays that have a row for each face; those of EDGES one for each edge, of LISTS one for each particle, the rest one for
+each cell."""
 EDGES = ("in_corner", "besides")
-SLOT_BYTES = {2: 4 * (int(BIN) + 220), 3: 4 * (int(BIN) + 480)}
+LISTS = ("home", "place", "bin")
+SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
 """Of a cell with its faces, its rows of the systems and its particles, in single precision, by the number of axes."""
 
 
@@ -89,9 +91,13 @@ class GridState:
 
     def _rows(self, name: str) -> int:
         """Of an array of the grid."""
+        if name in LISTS:
+            return self.count
+        if name == "listed":
+            return 1
         pushed = self.layout.axes**2 if self.layout.kind.cut else 0
         many = (
-            {"bin": int(BIN), "grip": pushed, "pull": pushed, "lean": pushed}
+            {"grip": pushed, "pull": pushed, "lean": pushed}
             | dict.fromkeys(FACES, self.layout.axes)
             | dict.fromkeys(EDGES, self.layout.kind.pairs)
         )
