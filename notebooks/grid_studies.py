@@ -120,8 +120,7 @@ class GridStudies(Studies):
         """Time of a V-funnel for three concretes, over the spacing, beside ducts in a row."""
         concretes = [(20.0, 0.0), (20.0, 30.0), (50.0, 50.0)]
         jobs = [
-            {"concrete": "own", "density": 2300.0, "viscosity": mu, "yield_stress": tau, "spacing": h,
-             "time_step": 1e-3 if h < 7e-3 else 2e-3}
+            {"concrete": "own", "density": 2300.0, "viscosity": mu, "yield_stress": tau, "spacing": h}
             for mu, tau in concretes for h in (12.5e-3, 9.375e-3, 7.5e-3, *((5e-3,) if tau == 0 else ()))
         ]  # fmt: skip
         rows = []

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
+from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
 VOLUME = 0.04
@@ -91,14 +92,9 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:
-    # As fine as the time step lets concrete fall by no more than a cell, as coarse as leaves cells in the outlet.
-    finest = given.time_step * math.sqrt(2 * given.gravity * (given.cone_height + given.outlet_height))
-    coarsest = min(given.outlet_width, given.breadth) / 4
-    spacings = [f for f in (2.0, 1.6, 1.25, 1.0, 0.8) if finest < f * given.spacing < coarsest]
-    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
-    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
-    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
-    yield precisions()
+    coarsest = min(given.outlet_width, given.breadth) / 4  # four cells in the outlet
+    fall = given.cone_height + given.outlet_height
+    return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 
 
 trading = Trading(_knobs, quantities=("funnel_time",))

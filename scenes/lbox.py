@@ -10,11 +10,12 @@ from typing import Annotated
 import trimesh
 
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.geometry.walls import MeshWall
+from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
@@ -129,14 +130,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
-    # As fine as the time step lets concrete fall by no more than a cell, as coarse as sees the bars.
-    finest = given.time_step * math.sqrt(2 * given.gravity * given.column_height)
-    coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8
-    spacings = [f for f in (1.6, 1.25, 1.0, 0.8, 0.5) if finest < f * given.spacing <= coarsest]
-    yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
-    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
-    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
-    yield precisions()
+    coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8  # which sees the bars
+    return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 
 
 trading = Trading(_knobs, quantities=("passing_ratio",))

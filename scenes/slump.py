@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
+from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.mps.free.theory import cone_volume, long_heap_spread
 from warpcrete.mps.mixes import CONSTANTS
@@ -102,14 +103,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
-    # As fine as the time step lets concrete fall by no more than a cell, as coarse as leaves four cells in the mould.
-    finest = given.time_step * math.sqrt(2 * given.gravity * given.mould_height)
-    coarsest = min(given.top_diameter / 8, given.mould_height / 4)
-    spacings = [f for f in (1.6, 1.25, 1.0, 0.8, 0.5) if finest < f * given.spacing < coarsest]
-    yield scaled("spacing", "spacing", given.spacing, spacings, -3.0, "m")
-    yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
-    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
-    yield precisions()
+    coarsest = min(given.top_diameter / 8, given.mould_height / 4)  # four cells in the mould
+    return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
 
 
 trading = Trading(_knobs, quantities=("slump", "spread"))

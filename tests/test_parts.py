@@ -263,7 +263,7 @@ class _Breaks(PartSimulation):
         super().prepare()
         self.flow.launch = self._broken
 
-    def _broken(self, goal):
+    def _broken(self):
         raise RuntimeError("a graph that cannot be captured")
 
 

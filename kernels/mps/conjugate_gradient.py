@@ -143,7 +143,6 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
-        absolute_tolerance: wp.float64,
         maximum: wp.int32,
         # chunks
         parts: wp.int32,
@@ -180,7 +179,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
             rz += system.partial[k]
             rr += system.partial[parts + k]
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):

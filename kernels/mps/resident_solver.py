@@ -168,7 +168,6 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
-        absolute_tolerance: wp.float64,
         maximum: wp.int32,
         # blocks
         parties: wp.int32,
@@ -202,7 +201,7 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         rz = summed(rz, lane, system.partial, 0, sums)
         rr = summed(rr, lane, system.partial, sums, sums)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
         done = wp.int32(0)
         beta = scalar(0.0)
         old = count

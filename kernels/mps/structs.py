@@ -156,6 +156,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             change: wp.array(dtype=value)  # of that, shape (cubes,)
             inner: wp.array(dtype=wp.float64)  # product of load and solution of each cube, shape (cubes,)
             partial: wp.array(dtype=wp.float64)  # sums of each block or thread: three kinds, one after the other
+            least: wp.array(dtype=wp.float64)  # norm of the residual that is small enough, shape (1,)
             outcome: wp.array(dtype=wp.float64)  # iterations, norms of the residual before and after, shape (OUTCOME,)
             history: wp.array(dtype=wp.float64)  # norm of the residual after each iteration
 

@@ -77,7 +77,6 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
-        absolute_tolerance: wp.float64,
         maximum: wp.int32,
         # chunks
         parts: wp.int32,
@@ -114,7 +113,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         turn(begin, end, scalar(0.0), old, matrix, system)
         meet(gate, workers)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):
@@ -237,7 +236,6 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
-        absolute_tolerance: wp.float64,
         maximum: wp.int32,
         # blocks
         parties: wp.int32,
@@ -263,7 +261,7 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
         gather(gate, parties)
         rr = summed(rr, lane, system.partial, sums, sums)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, absolute_tolerance * absolute_tolerance)
+        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
         done = wp.int32(0)
         beta = scalar(0.0)
         before = wp.float64(1.0)

@@ -131,7 +131,7 @@ class MovingParticles(Stepping):
         sizes = {
             "load": cubes, "lift": 2 * cubes, "change": cubes, "inner": cubes,
             "partial": 3 * (self.blocks + -(-bodies // BLOCK) if self.parallel else self.threads), "outcome": OUTCOME,
-            "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
+            "least": 1, "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
             "preconditioned": self.count if self.parallel else 0,
         }  # fmt: skip
         for name in struct.vars:

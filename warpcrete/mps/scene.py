@@ -63,6 +63,12 @@ class FlowWatch(Declared):
     volume: Annotated[float | None, "of the concrete's that is lost or won, part; None: no limit", Above()] = 0.015
 
 
+STEP_ERROR = (
+    "that a step on a grid may make, over the rms speed: steps are as long as that lets them be, a cell's way "
+    "at most; 0: all are time_step"
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class FlowSettings(Declared):
     """How a flow is computed."""
@@ -74,7 +80,8 @@ class FlowSettings(Declared):
         "without either, on a grid (a tube about its axis), for as much shear as there may be",
         OneOf(ENDS),
     ] = "piston"
-    time_step: Annotated[float, "[s]", Above()] = 5e-4
+    time_step: Annotated[float, "longest; every step, where step_error is 0 [s]", Above()] = 5e-4
+    step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
     paper_scheme: Annotated[bool, "the scheme as the paper prints it, to show what it does", Alias("literal")] = False
@@ -154,7 +161,9 @@ class FluidScene(FlowSettings):
             )  # fmt: skip
         if self.duration is not None:
             between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
-        between("sample_interval", self.sample_interval, self.time_step, np.inf, "s", "one time step at least")
+        positive("sample_interval", self.sample_interval, "s")
+        least = 0.0 if self.step_error else self.time_step
+        between("sample_interval", self.sample_interval, least, np.inf, "s", "one time step at least")
 
     def __repr__(self) -> str:
         phases = "one phase" if self.aggregates is None else f"{100 * self.aggregates.fraction:.0f} % aggregate"

@@ -212,11 +212,11 @@ class StepPart:
         serial, resident = (functools.partial(solver, *kind) for solver in (serial_two_level, resident_two_level))
         if p.coarse is None:
             serial, resident = (functools.partial(s, *kind, rigid) for s in (serial_solver, resident_solver))
-        goal = {"tolerance": tolerance, "absolute_tolerance": absolute}
+        system.least.fill_(absolute)
         if self.serial:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}
-            return [p.stage(serial(), 1, what=what, maximum=maximum, system=system, x=x, **goal, **chunks)]
+            return [p.stage(serial(), 1, what=what, maximum=maximum, system=system, x=x, tolerance=tolerance, **chunks)]
         width, parties = resident_blocks(p.device, p.count, p.matrix.near_capacity, p.abreast)
-        named = {"what": what, "maximum": maximum, "system": system, "x": x, "parties": parties, **goal}
+        named = {"what": what, "maximum": maximum, "system": system, "x": x, "parties": parties, "tolerance": tolerance}
         return [p.stage(resident(width=width), width * parties, block=width, **named)]

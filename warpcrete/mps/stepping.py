@@ -30,7 +30,7 @@ ABREAST = 64
 
 
 class Stepping(ABC):
-    """A flow that takes steps of constant size by replaying graphs of them."""
+    """A flow that takes steps by replaying graphs of them; steps of constant size unless a subclass knows better."""
 
     scene: Any
     flags: wp.array
@@ -41,6 +41,8 @@ class Stepping(ABC):
     """Flows that share the GPU; set by :meth:`share`."""
     _launcher: Launcher
     _step: Step | None
+    _goal: int = 0
+    """Steps to be taken in all."""
 
     @property
     @abstractmethod
@@ -66,34 +68,52 @@ class Stepping(ABC):
 
     def take(self, steps: int) -> None:
         """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
-        goal = self.steps + steps
-        while self.steps < goal:
-            self.launch(goal)
-            self.settle()
+        self.aim(steps=self.steps + steps)
+        self._go()
 
     def advance(self, until: float) -> None:
-        """Take whole steps up to the one that ends nearest to `until` [s]."""
-        self.take(self.goal(until) - self.steps)
+        """Take whole steps up to the one that ends nearest to `until` [s]; raises as `take` does."""
+        self.aim(until)
+        self._go()
 
-    def goal(self, until: float) -> int:
-        """Steps up to the one that ends nearest to `until` [s]."""
-        return math.floor(until / self.scene.time_step + 0.5)
+    def _go(self) -> None:
+        while not self.arrived:
+            self.launch()
+            self.settle()
 
-    def launch(self, goal: int) -> None:
-        """Set out towards so many steps, some of the way at most; a GPU takes them while Python goes on."""
+    def aim(self, until: float = math.inf, steps: int | None = None) -> None:
+        """Say where to go: to the step that ends nearest to `until` [s], or to so many steps in all."""
+        self._goal = math.floor(until / self.scene.time_step + 0.5) if steps is None else steps
+
+    @property
+    def arrived(self) -> bool:
+        """It is where it was to go."""
+        return self.steps >= self._goal
+
+    @property
+    def _left(self) -> int:
+        """Steps that are to be taken, or are thought to be; at least one."""
+        return self._goal - self.steps
+
+    def launch(self) -> None:
+        """Go some of the way; a GPU takes the steps while Python goes on."""
         largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
-        sizes = graph_sizes(min(goal - self.steps, LAUNCH * largest), largest)
+        sizes = graph_sizes(min(self._left, LAUNCH * largest), largest)
         self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
 
     def settle(self) -> None:
         """Wait, and see how far that came. Raises what a step failed with."""
         flags = self.flags.numpy()
         self.steps = int(flags[int(STEPS)])
-        self.time = self.steps * self.scene.time_step
+        self.time = self._timed()
         if flags[int(FAILED)]:
             self._fail(int(flags[int(FAILED)]))
         if flags[int(STALE)]:
             self.build()
+
+    def _timed(self) -> float:
+        """Time now, after so many steps [s]."""
+        return self.steps * self.scene.time_step
 
     def _fail(self, what: int) -> None:
         if what == LOST:
@@ -125,7 +145,6 @@ class _Run:
         self.simulation, self.checkpoint = simulation, checkpoint
         self.outcome: Run | BaseException | None = None
         self._stream = wp.Stream(simulation.device) if simulation.device.is_cuda else None
-        self._goal = 0
         self._coroutine: Coroutine | None = None
 
     @property
@@ -147,7 +166,7 @@ class _Run:
         """Towards the goal; the device takes the steps while Python goes on."""
         try:
             with wp.ScopedStream(self._stream) if self._stream else nullcontext():
-                self._flow.launch(self._goal)
+                self._flow.launch()
         except Exception as failure:
             self._go_on(failure)
 
@@ -158,18 +177,18 @@ class _Run:
         except (Exception, KeyboardInterrupt) as failure:
             self._go_on(failure)
         else:
-            if self._flow.steps >= self._goal:
+            if self._flow.arrived:
                 self._go_on(None)
 
     def _go_on(self, error: BaseException | None) -> None:
-        """To the next time that the run wants to be at, or its end; an `error` is raised inside it."""
+        """Aim at the next time that the run wants to be at, or end; an `error` is raised inside it."""
         assert self._coroutine is not None
         try:
             while True:
                 wanted = next(self._coroutine) if error is None else self._coroutine.throw(error)
                 error = None
-                self._goal = self._flow.goal(wanted.time)
-                if self._flow.steps < self._goal:
+                self._flow.aim(wanted.time)
+                if not self._flow.arrived:
                     return
         except StopIteration as end:
             self.outcome = end.value

@@ -37,6 +37,7 @@ class _Paste:
     regularisation: float = 1e4
     tolerance: float = 1e-3
     maximum_iterations: int = 5000
+    step_error: float = 0.0
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:

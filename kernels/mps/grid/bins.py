@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ...common.control import HALTED, STEPS
-from .cells import Kind, cells_struct, grid_functions, grid_structs
+from ...common.control import HALTED
+from .cells import NOW, Kind, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
@@ -81,19 +81,18 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 def lift_kernel(scalar, of: Kind):
     """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
     dims, places, quarters = of.dimensions, 2**of.dimensions, 4 * of.pairs
-    Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
     Mesh, Geometry = structs.Mesh, structs.Geometry
 
     @wp.kernel(enable_backward=False, module="unique")
     def lift(
-        g: Cells, flags: wp.array(dtype=wp.int32), after: Geometry, solid_after: wp.array(dtype=wp.int32),
+        slots: wp.int32, flags: wp.array(dtype=wp.int32), after: Geometry, solid_after: wp.array(dtype=wp.int32),
         geometry: Geometry, mesh: Mesh,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
         c = wp.tid()
-        if scalar(flags[STEPS]) * g.dt >= geometry.opens[c]:
+        if scalar(mesh.clock[NOW]) >= geometry.opens[c]:
             mesh.solid[c] = solid_after[c]
             for k in range(places):
                 geometry.depth[c * places + k] = after.depth[c * places + k]
@@ -102,7 +101,7 @@ def lift_kernel(scalar, of: Kind):
             geometry.room[c] = after.room[c]
             geometry.hold[c] = after.hold[c]
             for axis in range(dims):
-                r = c + axis * g.slots
+                r = c + axis * slots
                 geometry.gap[r] = after.gap[r]
                 geometry.part[r] = after.part[r]
                 geometry.shut[r] = after.shut[r]

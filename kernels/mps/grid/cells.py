@@ -37,6 +37,17 @@ FORCE = wp.constant(0)  # per volume that the next step begins with [N/m3]
 ACTED = wp.constant(1)  # per volume that acted in this step [N/m3]
 PUSH = wp.constant(2)  # velocity that all faces along the pipe are given at the end of this step [m/s]
 DRIVE = 3
+# Slots of `clock`.
+DT = wp.constant(0)  # step [s]
+NOW = wp.constant(1)  # time [s]
+UNTIL = wp.constant(2)  # time to stop at [s]
+WANTED = wp.constant(3)  # step that is wanted; one that ends at a time may be shorter [s]
+SPEED = wp.constant(4)  # of the concrete, rms [m/s]
+SWIFT = wp.constant(5)  # cells that the fastest passes in a second [1/s]
+BEFORE = wp.constant(6)  # SPEED of the step before [m/s]
+RATE = wp.constant(7)  # at which it grew then [m/s2]
+LAST = wp.constant(8)  # step before [s]
+CLOCK = 9
 
 
 class Kind(NamedTuple):
@@ -79,7 +90,6 @@ def cells_struct(scalar, dimensions: int):
         origin: t.vec  # lowest corner [m]
         frame: scalar  # velocity along the last axis of the grid, and of the mean of a periodic pipe [m/s]
         gravity: t.vec  # acceleration [m/s2]
-        dt: scalar  # [s]
         density: scalar  # [kg/m3]
         viscosity: scalar  # plastic [Pa s]
         yield_stress: scalar  # [Pa]
@@ -141,6 +151,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         strain: wp.array(dtype=scalar)  # square of a cell's rate of shear [1/s2], shape (slots,)
         besides: wp.array(dtype=scalar)  # square of a cell's rate of shear without that of the pair [1/s2]
         drive: wp.array(dtype=wp.float64)  # of a periodic pipe, slots above, shape (DRIVE,)
+        clock: wp.array(dtype=wp.float64)  # slots above, shape (CLOCK,)
 
     @wp.struct
     class Geometry:

@@ -9,6 +9,10 @@ from ...common.control import HALTED
 from ..structs import mps_types
 from .cells import OPEN, Kind, cells_struct, grid_functions, grid_structs
 
+WET = wp.constant(0.02)
+"""Part of a cell that is concrete's from which on it flows there: if less did, surfaces at rest on the cells' sides
+would stir (1 mm/s in a fluid of 10 Pa s)."""
+
 
 @functools.cache
 def level_functions(scalar, of: Kind) -> SimpleNamespace:
@@ -125,6 +129,6 @@ def fill_kernel(scalar, of: Kind):
             part = wp.clamp(wp.where(film(mesh, g, c), lies(crowd), level(crowd)), scalar(0.0), scalar(1.0))
         mesh.crowd[number] = crowd
         mesh.fill[number] = part
-        mesh.liquid[number] = wp.where(part > scalar(0.0), 1, 0)
+        mesh.liquid[number] = wp.where(part > scalar(WET), 1, 0)
 
     return fill

@@ -12,7 +12,7 @@ import warp as wp
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
-from .cells import FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
+from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
 
 
 @functools.cache
@@ -211,7 +211,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                 volume = mesh.volume[r]
                 mesh.start[r] = mesh.velocity[r]
                 low = f.at(g, f.moved(c, axis, -1))
-                diagonal = g.density * volume / g.dt
+                diagonal = g.density * volume / scalar(mesh.clock[DT])
                 if kind == LIQUID:
                     force = f.open_area(g, geometry, c, axis) * (mesh.pressure[low] - mesh.pressure[number])
                     force += volume * g.density * g.gravity[axis]

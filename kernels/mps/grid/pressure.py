@@ -8,7 +8,7 @@ import warp as wp
 from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import array_structs, mps_types, row_place
-from .cells import ACTED, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
+from .cells import ACTED, DT, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
 
 CORRECTED = 0.1
 """Part of what is too much or too little in a cell that a step takes away."""
@@ -66,7 +66,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         matrix.free[number] = 1 - liquid
         matrix.near_count[number] = count
         matrix.diagonal[number] = diagonal
-        projection.residual[number] = g.density / g.dt * into
+        projection.residual[number] = g.density / scalar(mesh.clock[DT]) * into
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
@@ -84,7 +84,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
                 mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
             if kind == LIQUID:
                 rise = mesh.increment[number] - mesh.increment[f.at(g, f.moved(c, axis, -1))]
-                ease = g.dt / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r]
+                ease = scalar(mesh.clock[DT]) / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r]
                 mesh.velocity[r] = mesh.velocity[r] - ease * rise
         mesh.pressure[number] = wp.where(
             mesh.liquid[number] != 0, mesh.pressure[number] + mesh.increment[number], scalar(0.0)
@@ -134,6 +134,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         c = f.cell(g, number)
         mesh.potential[number] = scalar(0.0)
         excess = scalar(0.0)
+        dt = scalar(mesh.clock[DT])
         if mesh.liquid[number] != 0:
             excess = mesh.crowd[number] - scalar(1.0)
             if excess < scalar(0.0):
@@ -141,8 +142,8 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
                 excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
                 excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
-            excess *= scalar(CORRECTED) * geometry.room[number] * f.cell_volume(g, c) / g.dt
-        projection.residual[number] = g.density / g.dt * excess
+            excess *= scalar(CORRECTED) * geometry.room[number] * f.cell_volume(g, c) / dt
+        projection.residual[number] = g.density / dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
     def disperse(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
@@ -150,13 +151,14 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
             return
         number = wp.tid()
         c = f.cell(g, number)
+        dt = scalar(mesh.clock[DT])
         for axis in range(dims):
             r = number + axis * g.slots
             speed = scalar(0.0)
             if f.on_grid(g, c) and mesh.kind[r] == LIQUID:
                 rise = mesh.potential[number] - mesh.potential[f.at(g, f.moved(c, axis, -1))]
-                speed = -g.dt / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r] * rise
-                most = scalar(0.05) * g.width[axis] / g.dt
+                speed = -dt / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r] * rise
+                most = scalar(0.05) * g.width[axis] / dt
                 speed = wp.clamp(speed, -most, most)
             mesh.shift[r] = speed
 
@@ -174,9 +176,9 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     Mesh = grid_structs(scalar, dimensions).Mesh
 
     @wp.func
-    def book(g: Cells, drive: wp.array(dtype=wp.float64), mean: wp.float64):
+    def book(g: Cells, clock: wp.array(dtype=wp.float64), drive: wp.array(dtype=wp.float64), mean: wp.float64):
         lacks = wp.float64(g.frame) - mean
-        inertia = wp.float64(g.density) / wp.float64(g.dt)
+        inertia = wp.float64(g.density) / clock[DT]
         drive[ACTED] = drive[FORCE] + inertia * lacks
         drive[FORCE] = drive[FORCE] + (inertia + g.resistance) * lacks
         drive[PUSH] = lacks
@@ -192,7 +194,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
             if mesh.kind[r] == LIQUID:
                 sum += wp.float64(mesh.volume[r]) * wp.float64(mesh.velocity[r])
                 whole += wp.float64(mesh.volume[r])
-        book(g, mesh.drive, sum / whole)
+        book(g, mesh.clock, mesh.drive, sum / whole)
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(g: Cells, blocks: wp.int32, mesh: Mesh, partial: wp.array(dtype=wp.float64)):
@@ -217,7 +219,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
         sum = total(c, partial, 0, blocks)
         whole = total(c, partial, blocks, blocks)
         if c == 0 and flags[HALTED] == 0:
-            book(g, mesh.drive, sum / whole)
+            book(g, mesh.clock, mesh.drive, sum / whole)
 
     @wp.kernel(enable_backward=False, module="unique")
     def shove(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):

@@ -9,9 +9,11 @@ from ...common.control import HALTED, STEPS
 from ..structs import mps_types
 from .cells import (
     AIR,
+    DT,
     FIXED,
     GHOST,
     INSIDE,
+    LAST,
     LIQUID,
     OPEN,
     SMOOTH,
@@ -351,23 +353,28 @@ def advect_kernel(scalar, of: Kind):
         if particles.mass[p] == scalar(0.0):
             return
         x = particles.position[p]
+        dt = scalar(mesh.clock[DT])
         here, slope, total = carry(g, velocity, good, x)
         if wp.static(not of.periodic):
             if total == scalar(0.0):  # alone in the air
-                here = particles.velocity[p] + g.dt * g.gravity
+                here = particles.velocity[p] + dt * g.gravity
+        # What the velocity at this place was, if the one around the particle only went on.
+        before = particles.velocity[p]
+        before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here
         particles.gradient[p] = slope
         particles.pressure[p] = mesh.pressure[f.cell_of(g, x)]
         moving = vec()
         moving[last] = g.frame
-        there, _slope, ahead = carry(g, velocity, good, x + scalar(0.5) * g.dt * (here - moving))
+        there, _slope, ahead = carry(g, velocity, good, x + scalar(0.5) * dt * (here - moving))
         if wp.static(not of.periodic):
             if ahead == scalar(0.0):
                 there = here
-        after = x + g.dt * (there - moving)
+        after = x + dt * (there - moving)
         if wp.static(not of.periodic):
+            after -= scalar(0.5) * dt * (here - before)  # it is the velocity of half the step that it goes with
             aside, _bent, _known = carry(g, mesh.shift, good, x)
-            after += g.dt * aside
+            after += dt * aside
         if wp.static(of.periodic):
             length = scalar(g.n[last]) * g.width[last]
             after[last] = after[last] - length * wp.floor(after[last] / length)

@@ -33,12 +33,12 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
     loading = begun()  # kernels are loaded now, and no part of a time any more
     loading.flow.take(TAKEN)
     loading.release()
-    duration, remarks = _duration(scene, str(device), precision)
+    duration, mean, remarks = _course(scene, str(device), precision)
     simulation, placing = timed(begun, device)
     flow = simulation.flow
     step = step_time(simulation)
     sample = median_time(simulation.measure, flow.device)
-    steps = max(1.0, duration / scene.time_step)
+    steps = max(1.0, duration / mean)
     found = Forecast(
         method="moving particles",
         device="",
@@ -53,9 +53,11 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
             "precision": simulation.precision,
         },
         memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
-        time_step=scene.time_step,
+        time_step=mean,
         limits={},
-        governing="choice: solves are implicit, so that viscosity and pressure set no limit",
+        governing="the error of a step and a cell's way in it; the mean is told"
+        if scene.step_error
+        else "choice: solves are implicit, so that viscosity and pressure set no limit",
         steps=steps,
         parts={
             "placing": placing,
@@ -70,24 +72,31 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
     return found
 
 
-def _duration(scene: FreeScene, device: str, precision: str) -> tuple[float, list[str]]:
-    """Simulated time until the concrete rests or a funnel is empty [s], and remarks."""
+def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float, list[str]]:
+    """Simulated time until the concrete rests or a funnel is empty [s], the mean step until then [s], and remarks."""
+    # Where nothing better is known: a cell's way at the speed of a fall by the concrete's height.
+    swift = scene.spacing / math.sqrt(2 * scene.gravity * scene.extent[1, 1])
+    mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
     if scene.test == "funnel":
         estimate = funnel_estimate(scene)
         if estimate is None:
-            return scene.duration, ["its yield stress may hold the concrete in the funnel"]
-        return min(LONGER * estimate, scene.duration), []
+            return scene.duration, mean, ["its yield stress may hold the concrete in the funnel"]
+        return min(LONGER * estimate, scene.duration), mean, []
     if scene.depth:
         # A coarser copy would not see what concrete has to pass.
-        return scene.duration, ["the time until it rests is not foretold: this is the longest"]
+        return scene.duration, mean, ["the time until it rests is not foretold: this is the longest"]
     height = scene.extent[1, 1]
     spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(scene.extent, axis=0)) / 4)
     simulation = FreeSimulation(replace(scene, spacing=spacing), device=device, precision=precision)
     try:
         run = simulation.run()
     except InstabilityError as error:
-        return scene.duration, [f"a coarser copy of this flow stops: {error}"]
+        return scene.duration, mean, [f"a coarser copy of this flow stops: {error}"]
     finally:
         simulation.release()
     reached = float(run.result["simulated_time"]["value"])
-    return reached, [] if run.result["at_rest"] else [f"not at rest within {reached:g} s"]
+    if scene.step_error:
+        # The finer one passes its cells sooner, and errs as this one does.
+        way = scene.spacing / np.maximum(run.series["fastest"], 1e-9)
+        mean = reached / float(np.sum(np.diff(run.series["time"]) / np.minimum(way, run.series["time_step"])[1:]))
+    return reached, mean, [] if run.result["at_rest"] else [f"not at rest within {reached:g} s"]

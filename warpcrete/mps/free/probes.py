@@ -18,6 +18,7 @@ UNITS = {
     "volume_error": "1",
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
+    "time_step": "s",
 }
 """Of the columns of a row."""
 MORE = {
@@ -133,4 +134,5 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
         "volume_error": volume(flow) / whole - inside,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
+        "time_step": flow.next_step,
     } | more

@@ -1,8 +1,9 @@
 """A flow whose equations are solved on a grid that particles are carried through.
 
 A step: particles bring their velocities to the faces of the cells (affine particle-in-cell); viscosity, walls, pressure
-and weight change these, implicitly; the pressure's increment takes their divergence away; particles take their
-velocity from the grid and go with it. Nothing hangs on how particles lie, so shear may last for ever.
+and weight change these, implicitly; the pressure's increment takes their divergence away; particles take their velocity
+from the grid and go with it. Steps are as long as the flow lets them be. Nothing hangs on how particles lie, so shear
+may last for ever.
 """
 
 from __future__ import annotations
@@ -15,19 +16,21 @@ import numpy as np
 import warp as wp
 
 from ...core.device import parallel
-from ...core.launching import Launcher, Stage, Step, parameter_names
+from ...core.launching import Launcher, Stage, Step, launch, parameter_names
+from ...kernels.common.control import HALTED
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import (
     OUTCOME,
     serial_solver,
 )
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
+from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
+from ...kernels.mps.grid.pace import Pace, pace_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
-from ...kernels.mps.motion import finish
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
@@ -38,6 +41,9 @@ HISTORY = 256  # iterations whose residual is kept
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # of what flows through a cell's sides
 EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
 CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
+SLOWEST = 0.05
+"""Speed, over that of flows of its kind, below which a step's error is judged as if it were as fast."""
+FOR_EVER = 2**31 - 1  # steps
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ class System:
 class GridFlow(Stepping):
     """Carries a state forward."""
 
+    next_step: float
+    """Length of the next step, unless one must end sooner [s]."""
     threads = 1
     """That work on it on a CPU."""
     rebuilds = 0
@@ -77,11 +85,87 @@ class GridFlow(Stepping):
         # The same matrix once more, for what moves particles off crowds; a full pipe has no need of it.
         self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
+        self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
         self._carried = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
         self._known = [wp.zeros(faces, dtype=wp.int32, device=self.device) for _ in range(2)]
         self.time = 0.0
         self.steps = 0
         self._step: Step | None = None
+        self._arrived, self._until = True, 0.0
+        self.pace, self._pace = self._paced(), pace_kernels(self.scalar, kind)
+        self._read_clock()
+
+    def _paced(self) -> Any:
+        """What the length of steps goes by, and norms of residuals that are small enough."""
+        pace, scene = Pace(), self.scene
+        least = CROWDING[1]
+        pace.longest, pace.error = scene.time_step, scene.step_error
+        pace.floor = SLOWEST * self.state.layout.speed
+        pace.viscous = VELOCITY_ERROR * self._force
+        pace.pressure = max(LEAST_PRESSURE * scene.tolerance * self._force / self.state.layout.length, self._rounding)
+        pace.crowding = least * scene.concrete.density / scene.time_step**2 * self._volume * self._size
+        for system, norm in ((self.viscous, pace.viscous), (self.projection, pace.pressure)):
+            system.arrays.least.fill_(norm)
+        if self.dispersion is not None:
+            self.dispersion.arrays.least.fill_(pace.crowding)
+        return pace
+
+    @property
+    def viscous_least(self) -> wp.array:
+        """Norm of the viscosity's residual that is small enough, shape (1,); so the next two."""
+        return self.viscous.arrays.least
+
+    @property
+    def pressure_least(self) -> wp.array:
+        """Of the pressure's."""
+        return self.projection.arrays.least
+
+    @property
+    def crowding_least(self) -> wp.array:
+        """Of what moves particles apart; an idle array if nothing does."""
+        return self._idle if self.dispersion is None else self.dispersion.arrays.least
+
+    @property
+    def adaptive(self) -> bool:
+        """Steps are as long as the flow lets them be."""
+        return self.scene.step_error > 0
+
+    def aim(self, until: float = math.inf, steps: int | None = None) -> None:
+        """Say where to go: to `until` [s], to the step that ends nearest if all are equal, or to so many steps."""
+        if steps is None and not self.adaptive:
+            steps = math.floor(until / self.scene.time_step + 0.5)
+        self._until, self._goal = until if steps is None else math.inf, FOR_EVER if steps is None else steps
+        launch(
+            self._pace.begin, 1, self.device, until=min(self._until, 1e300), goal=self._goal, pace=self.pace,
+            flags=self.flags, mesh=self.mesh, viscous_least=self.viscous_least, pressure_least=self.pressure_least,
+            crowding_least=self.crowding_least,
+        )  # fmt: skip
+        self._arrived = self.steps >= self._goal or self._until - self.time < 1e-9 * self.scene.time_step
+
+    @property
+    def arrived(self) -> bool:
+        """It is where it was to go."""
+        return self._arrived
+
+    @property
+    def _left(self) -> int:
+        """Steps that it will take if none gets shorter; some may be too many, and do nothing."""
+        if not self.adaptive:
+            return self._goal - self.steps
+        by_time = min((self._until - self.time) / self.next_step, FOR_EVER)
+        return min(max(1, math.ceil(by_time - 1e-6)), self._goal - self.steps)
+
+    def settle(self) -> None:
+        """Wait, and see how far that came. Raises what a step failed with."""
+        self._read_clock()
+        super().settle()
+        self._arrived = bool(self.flags.numpy()[int(HALTED)])
+
+    def _timed(self) -> float:
+        return float(self.mesh.clock.numpy()[int(NOW)])
+
+    def _read_clock(self) -> None:
+        self.next_step = float(self.mesh.clock.numpy()[int(WANTED)])
 
     def _system(self, rows: int, near: int) -> System:
         structs = array_structs(self.scalar, 2)
@@ -103,6 +187,7 @@ class GridFlow(Stepping):
         sizes = {
             "partial": 3 * -(-rows // BLOCK),
             "outcome": OUTCOME,
+            "least": 1,
             "history": HISTORY,
             "direction": rows * (2 if self.parallel else 1),
             "preconditioned": rows if self.parallel else 0,
@@ -159,7 +244,9 @@ class GridFlow(Stepping):
         viscosity = viscosity_kernels(scalar, kind)
         pressure = pressure_kernels(scalar, serial, kind)
         velocity, increment = self.mesh.velocity, self.mesh.increment
-        opening = self.stage(lift_kernel(scalar, kind), slots, after=self.state.opened) if len(layout.opens) else None
+        opening = None
+        if len(layout.opens):
+            opening = self.stage(lift_kernel(scalar, kind), slots, slots=slots, after=self.state.opened)
         return [
             self.stage(bins.clear, slots),
             *([opening] if opening else []),
@@ -175,23 +262,21 @@ class GridFlow(Stepping):
             self.stage(
                 momentum_kernel(scalar, serial, kind), slots, matrix=self.viscous.matrix, viscous=self.viscous.arrays,
             ),
-            *self._solve(self.viscous, VISCOSITY, velocity, 0.0, VELOCITY_ERROR * self._force),
+            *self._solve(self.viscous, VISCOSITY, velocity, 0.0),
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
-            *self._solve(
-                self.projection, PRESSURE, increment, self.scene.tolerance,
-                max(LEAST_PRESSURE * self.scene.tolerance * self._force / layout.length, self._rounding),
-            ),
+            *self._solve(self.projection, PRESSURE, increment, self.scene.tolerance),
             self.stage(pressure.project, slots),
             *(self._drive() if layout.periodic and layout.held else []),
+            *(self._speeds() if self.adaptive else []),
             *([] if self.full else self._disperse()),
             *self._extend(extend_kernel(scalar, kind)),
             self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
-            Stage(finish, 1, {"late": self.late, "flags": self.flags}, self.device),
+            self.stage(self._pace.tick, 1),
         ]  # fmt: skip
 
     @property
     def _force(self) -> float:
-        """Norm of the forces on all faces that change velocities by the usual speed within a step."""
+        """Norm of the forces on all faces that change velocities by the usual speed within the longest step."""
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 
@@ -230,13 +315,21 @@ class GridFlow(Stepping):
     def _disperse(self) -> list[Any]:
         """Particles that crowd are moved apart, with the matrix of the pressure."""
         kernels, slots = crowd_kernels(self.scalar, self.state.layout.kind), self.state.slots
-        tolerance, least = CROWDING
-        absolute = least * self.scene.concrete.density / self.scene.time_step**2 * self._volume * self._size
         assert self.dispersion is not None
         return [
             self.stage(kernels.source, slots, projection=self.dispersion.arrays),
-            *self._solve(self.dispersion, DENSITY, self.mesh.potential, tolerance, absolute),
+            *self._solve(self.dispersion, DENSITY, self.mesh.potential, CROWDING[0]),
             self.stage(kernels.disperse, slots),
+        ]
+
+    def _speeds(self) -> list[Stage]:
+        """How fast the concrete goes."""
+        if not self.parallel:
+            return [self.stage(self._pace.speeds, 1)]
+        blocks, partial = -(-self.viscous.rows // BLOCK), self.viscous.arrays.partial
+        return [
+            self.stage(self._pace.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
+            self.stage(self._pace.speeds_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
         ]
 
     def _drive(self) -> list[Stage]:
@@ -252,11 +345,12 @@ class GridFlow(Stepping):
             shove,
         ]
 
-    def _solve(self, system: System, what: int, x: wp.array, tolerance: float, absolute: float) -> list[Any]:
-        """Conjugate gradients down to `tolerance` of the residual at the start, or to `absolute`; adds to `x`."""
+    def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
+        """Conjugate gradients down to `tolerance` of the residual at the start, or to the norm that is small enough;
+        adds to `x`."""
         kind = self.scalar, 2, False
         named = {
-            "flow": system.numbers, "what": what, "tolerance": tolerance, "absolute_tolerance": absolute,
+            "flow": system.numbers, "what": what, "tolerance": tolerance,
             "maximum": self.scene.maximum_iterations, "matrix": system.matrix, "system": system.arrays, "x": x,
             "count": system.rows, "gate": self._launcher.gate, "flags": self.flags,
             "parts": 1, "lower": 0, "upper": 1, "workers": 1,
@@ -284,4 +378,5 @@ class GridFlow(Stepping):
         """Go on from a `state_dict`."""
         self.state.load_state_dict(found["arrays"])
         self.steps = int(found["numbers"]["steps"])
-        self.time = self.steps * self.scene.time_step
+        self.time = self._timed()
+        self._read_clock()

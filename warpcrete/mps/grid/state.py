@@ -11,20 +11,23 @@ import warp as wp
 from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
-from ...kernels.mps.grid.cells import DRIVE, FORCE, INSIDE, cells_struct, grid_structs
+from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, cells_struct, grid_structs
 from .geometry import NONE, ROUGH, STICKS, Geometry
 from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
-MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive")
+MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
 """What the next step depends on."""
 FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
-"""Arrays that have a row for each face; those of EDGES one for each edge, of LISTS one for each particle, the rest one for
-each cell."""
+"""Arrays that have a row for each face; those of EDGES one for each edge, of LISTS one for each particle, the rest
+one for each cell."""
 EDGES = ("in_corner", "besides")
 LISTS = ("home", "place", "bin")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
 """Of a cell with its faces, its rows of the systems and its particles, in single precision, by the number of axes."""
+
+FIRST = 0.01
+"""First step over the longest, where steps are as long as the flow lets them be."""
 
 
 class GridState:
@@ -61,13 +64,15 @@ class GridState:
         )  # fmt: skip
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = layout.drive
+        clock = np.zeros(CLOCK)
+        clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST if scene.step_error else 1.0)
         full = np.zeros(self.shape, np.int32)  # what is full stays so
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
             full[inner] = layout.solid[inner] == NONE
         full = full.ravel()
         own = {
-            "solid": layout.solid.ravel(), "drive": drive, "fill": full, "liquid": full,
+            "solid": layout.solid.ravel(), "drive": drive, "clock": clock, "fill": full, "liquid": full,
             "kind": np.full(layout.axes * self.slots, int(INSIDE)),
         }  # fmt: skip
         self.mesh = self._filled(self.structs.Mesh, **{name: self._rows(name) for name in self.structs.Mesh.vars} | own)
@@ -175,7 +180,6 @@ def grid_numbers(state: GridState) -> Any:
         origin=layout.room.origin,
         frame=layout.frame,
         gravity=down,
-        dt=scene.time_step,
         density=concrete.density,
         viscosity=concrete.viscosity,
         yield_stress=concrete.yield_stress,

@@ -1,0 +1,26 @@
+"""What a flow with a free surface may trade accuracy for time by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+from ...core.knobs import Knob, precisions, scaled
+from .scene import FreeConcrete
+
+
+def free_knobs(
+    given: FreeConcrete, spacing: float, fall: float, coarsest: float, factors: Iterable[float], power: float
+) -> Iterator[Knob]:
+    """Cells of `spacing` [m] times `factors`, no coarser than `coarsest` [m], and in equal steps none that concrete
+    which has fallen by `fall` [m] would pass in one; length of steps, regularisation, precision. Time goes with the
+    spacing's `power`.
+    """
+    finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
+    yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")
+    if given.step_error:
+        yield scaled("step error", "step_error", given.step_error, (10.0, 3.0, 1.0, 0.3), -0.2)
+    else:
+        yield scaled("time step", "time_step", given.time_step, (1.0, 0.5, 0.25), -0.8, "s")
+    yield scaled("regularisation", "regularisation", given.regularisation, (0.01, 0.1, 1.0), 0.1, "s")
+    yield precisions()
