@@ -116,6 +116,28 @@ class GridStudies(Studies):
                 "ends after [s]", "fastest then [mm/s]", "wall time [s]"]  # fmt: skip
         self.write("gone", head, rows, "30 Pa s, 2300 kg/m3, mould gone at once.")
 
+    def steps(self) -> None:
+        """The fall of a cone whose mould is gone, in equal steps and in steps as long as the flow lets them be."""
+        equal = [{"step_error": 0.0, "time_step": step} for step in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)]
+        paced = [{"step_error": error} for error in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)]
+        rows = []
+        for given in (*equal, *paced):
+            scene = scenes.slump(
+                concrete="own", density=2300.0, viscosity=30.0, yield_stress=200.0, slip_viscosity=900.0,
+                slip_yield=100.0, spacing=0.01, lift_time=0.0, **given,
+            )  # fmt: skip
+            run = Simulation(scene, device=self.device).run()
+            time, spread = run.series["time"], 1e3 * run.series["spread"]
+            words = "error of a step" if given["step_error"] else "every step [ms]"
+            size = f"{given['step_error']:g}" if given["step_error"] else f"{1e3 * given['time_step']:g}"
+            early = [f"{np.interp(when, time, spread):.1f}" for when in (0.1, 0.2, 0.5)]
+            longest = f"{1e3 * run.series['time_step'].max():.1f}"
+            rows.append([words, size, str(run.result["steps"]), longest, *early, f"{spread[-1]:.0f}",
+                         value(run.result, "slump", 1e3, 0), f"{100 * run.result['volume_error']:+.1f}"])  # fmt: skip
+        head = ["", "", "steps", "longest [ms]", "spread after 0.1 s [mm]", "0.2 s", "0.5 s", "at rest", "slump [mm]",
+                "volume, at most [%]"]  # fmt: skip
+        self.write("steps", head, rows, "200 Pa, 30 Pa s, 2300 kg/m3, mould gone at once, cells of 10 mm.")
+
     def funnel(self) -> None:
         """Time of a V-funnel for three concretes, over the spacing, beside ducts in a row."""
         concretes = [(20.0, 0.0), (20.0, 30.0), (50.0, 50.0)]
@@ -196,4 +218,4 @@ class GridStudies(Studies):
 
 
 if __name__ == "__main__":
-    main(GridStudies, ("shear", "slump", "gone", "funnel", "box", "parts"), __doc__)
+    main(GridStudies, ("shear", "slump", "gone", "steps", "funnel", "box", "parts"), __doc__)

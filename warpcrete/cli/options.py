@@ -89,8 +89,9 @@ def run_options() -> list[click.Parameter]:
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
         click.Option(["--frames"], type=float, default=25.0, show_default=True,
                      help="recorded frames a simulated second, at most one a sample"),
-        click.Option(["--colour"], type=click.Choice(colourings), default="speed", show_default=True,
-                     help="aggregates by speed, size or force, flows by speed, pressure or phase"),
+        click.Option(["--colour"], type=click.Choice(colourings),
+                     help="aggregates by speed, size or force; flows by speed, pressure, phase or rate of shear  "
+                     "[default: shear of what has a surface, phase where there are two, else speed]"),
         click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),
         *(
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)

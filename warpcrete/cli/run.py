@@ -95,7 +95,7 @@ def run(
     display = method_of(scene).display
     live = True if settings["live"] == "spawn" else settings["live"] or False
     look = Look(settings["colour"], settings["network"], live)
-    if look.colouring not in display.colourings:
+    if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:
         refuse("network", True, f"draws lines between bodies; {display.noun} has none")

@@ -91,7 +91,7 @@ class Plot:
 
 
 class Display(ABC):
-    """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`."""
+    """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`; None: what shows most."""
 
     colourings: ClassVar[tuple[str, ...]]
     noun: ClassVar[str]
@@ -99,9 +99,15 @@ class Display(ABC):
     has_network: ClassVar[bool] = False
     """There are lines between bodies to be drawn."""
 
-    def __init__(self, simulation: Any, colouring: str) -> None:
-        one_of("colour", colouring, self.colourings)
-        self.simulation, self.colouring = simulation, colouring
+    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
+        self.simulation = simulation
+        self.colouring = self.preferred if colouring is None else colouring
+        one_of("colour", self.colouring, self.colourings)
+
+    @property
+    def preferred(self) -> str:
+        """What colours show unless they are told to."""
+        return self.colourings[0]
 
     @abstractmethod
     def radii(self) -> np.ndarray:

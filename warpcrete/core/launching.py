@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 import time
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
@@ -20,6 +22,8 @@ from .cores import Crowding
 from .device import parallel
 from .interrupts import put_off
 
+COMPILING = min(os.cpu_count() or 1, 16)
+"""Kernels that are compiled at once."""
 Size = int | tuple[int, ...]
 """Tasks of a launch, in one dimension or several."""
 
@@ -81,6 +85,11 @@ class Stage:
         """The kernel function's."""
         return self.kernel.func.__name__
 
+    @property
+    def plain(self) -> bool:
+        """The kernel is compiled with the flags of most."""
+        return not self.kernel.module.options.get("cpu_compiler_flags")
+
     def load(self) -> None:
         """Compile the kernel, or read it from the cache."""
         wp.load_module(self.kernel.module, device=self.device, block_dim=self.block)
@@ -97,6 +106,44 @@ class Stage:
         if tasks_of(self.dim):
             self.record()
             self._command.launch()
+
+
+def load(stages: list[Any]) -> None:
+    """Compile the kernels of stages, several at once, or read them from the cache.
+
+    A thread keeps the headers that it has compiled, which takes longer than most kernels: this one, which has those of
+    plain kernels, begins with these, the others with kernels that have flags of their own.
+    """
+    wanted: dict[tuple[int, int], Stage] = {}
+    for stage in stages:
+        if isinstance(stage, Stage):
+            wanted[id(stage.kernel.module), stage.block] = stage
+        else:
+            stage.load()
+    left = deque(sorted(wanted.values(), key=lambda stage: stage.plain))
+
+    def work(take: Callable[[], Stage]) -> None:
+        while True:
+            try:
+                stage = take()
+            except IndexError:
+                return
+            stage.load()
+
+    others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, len(left)) - 1)]
+    try:
+        work(left.pop)
+    finally:
+        left.clear()
+        wait(others)
+    for other in others:
+        other.result()
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    """Threads that stay."""
+    return ThreadPoolExecutor(COMPILING)
 
 
 Step = list[list[Any]]
@@ -199,8 +246,7 @@ class Launcher:
             one.result()
 
     def _capture(self, step: Step, size: int) -> list[Any]:
-        for stage in {id(s): s for part in step for s in part}.values():
-            stage.load()
+        load([stage for part in step for stage in part])
         graphs = []
         for part in step:
             with wp.ScopedCapture(device=self.device) as capture:

@@ -224,7 +224,7 @@ class Simulation:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
 
     @abstractmethod
-    def display(self, colouring: str) -> Display:
+    def display(self, colouring: str | None = None) -> Display:
         """What recorders draw."""
 
     @abstractmethod

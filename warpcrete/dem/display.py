@@ -34,7 +34,7 @@ class ElementDisplay(Display):
     noun: ClassVar = "aggregates"
     has_network: ClassVar = True
 
-    def __init__(self, simulation: Any, colouring: str) -> None:
+    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         super().__init__(simulation, colouring)
         self._upper = self._limit()
         walls = simulation.model.walls

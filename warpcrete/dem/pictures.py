@@ -57,7 +57,7 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
                       textcoords="offset points", color="0.45", fontsize=8)  # fmt: skip
 
 
-def draw(simulation: Any, run: ElementRun, colouring: str) -> Any:
+def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
     """The picture of a run folder: the pressure, if the scene has one."""
     return plot_pressure(run) if "pressure" in run.series else None
 

@@ -69,7 +69,7 @@ class ElementSimulation(Simulation):
         """Unit of a column of the series."""
         return unit_of(column, self.model.walls)
 
-    def display(self, colouring: str) -> ElementDisplay:
+    def display(self, colouring: str | None = None) -> ElementDisplay:
         """What recorders draw."""
         return ElementDisplay(self, colouring)
 

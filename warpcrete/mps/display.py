@@ -26,6 +26,11 @@ class FlowDisplay(Display):
     noun: ClassVar = "concrete"
 
     @property
+    def preferred(self) -> str:
+        """What colours show unless they are told to."""
+        return "speed" if self.simulation.scene.aggregates is None else "phase"
+
+    @property
     def driven(self) -> str:
         """What the pressure is."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"

@@ -100,7 +100,7 @@ def _particles(
         axes.figure.colorbar(ScalarMappable(Normalize(lower, upper), "viridis"), ax=axes, label=label)
 
 
-def draw(simulation: Any, run: Run, colouring: str) -> Any:
+def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
     """The picture of a run folder, if there is more than the start."""
     if "profiles" not in run.result:
         return None

@@ -62,7 +62,7 @@ class FluidSimulation(FlowRun):
         """Unit of a column of the series."""
         return UNITS[column]
 
-    def display(self, colouring: str) -> FlowDisplay:
+    def display(self, colouring: str | None = None) -> FlowDisplay:
         """What recorders draw."""
         return FlowDisplay(self, colouring)
 

@@ -12,7 +12,7 @@ from ..methods import method_of
 class PictureRecorder(Recorder):
     """Writes the picture that the run's method draws into `folder`, when the run ends."""
 
-    def __init__(self, folder: Path, *, colouring: str = "speed") -> None:
+    def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         self.folder, self.colouring = folder, colouring
 
     def finish(self, simulation: Simulation, run: Run) -> None:

@@ -19,7 +19,8 @@ from .usd import UsdRecorder
 class Look:
     """How a run is drawn."""
 
-    colouring: str = "speed"
+    colouring: str | None = None
+    """What colours show; None: what suits the method."""
     network: bool = False
     live: bool | str = False
     """Shown in a Rerun viewer while it runs: True opens one, or the URL of one that runs."""

@@ -30,7 +30,7 @@ class RerunRecorder(Recorder):
     """
 
     def __init__(
-        self, path: Path | None, *, live: bool | str = False, colouring: str = "speed", network: bool = False
+        self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
     ) -> None:
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._recording: Any = None
@@ -142,7 +142,7 @@ class RerunRecorder(Recorder):
 
         eye, target = display.view(1.2)
         scene = rrb.Spatial3DView(
-            name=f"{display.noun.capitalize()} by {self.colouring}",
+            name=f"{display.noun.capitalize()} by {display.colouring}",
             origin="scene",
             eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
             line_grid=rrb.LineGrid3D(visible=False),

@@ -24,7 +24,7 @@ FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
 class UsdRecorder(Recorder):
     """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres."""
 
-    def __init__(self, path: Path, *, colouring: str = "speed") -> None:
+    def __init__(self, path: Path, *, colouring: str | None = None) -> None:
         self.path, self.colouring = path, colouring
         self._stage: Any = None
         self._bodies: Any = None

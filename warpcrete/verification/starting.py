@@ -21,7 +21,7 @@ SAMPLES = 40
 """Times at which both are compared."""
 BEGUN = (
     # Bingham number, layer [Pa s/m], error of a step, time by which the flow is all but steady [s].
-    (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 3e-6, 0.04),
+    (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
 """Viscosity is that of the step before, half the way to what it has become: a yield stress wants shorter steps."""
 LONGEST = 2e-3

@@ -31,7 +31,7 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Cells that the fastest concrete passes in a step, at most."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""What a step may be of the one before."""
+"""What a step may be of the one that was wanted before, and of the one before."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Shortest step over the longest."""
@@ -141,15 +141,15 @@ def pace_kernels(scalar, of: Kind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Length of the next step, by what this one did."""
         dt = clock[DT]
-        factor = LONGER
+        longest = LONGER * clock[WANTED]  # which this step may be shorter than, as it ends when it had to
+        longer = longest
         if not first:
             error = wp.float64(0.5) * wp.abs(clock[SPEED] - clock[BEFORE] - clock[RATE] * dt)
             allowed = pace.error * wp.max(clock[SPEED], pace.floor)
-            factor = wp.clamp(SAFETY * wp.sqrt(allowed / wp.max(error, wp.float64(1.0e-30))), SHORTER, LONGER)
+            factor = wp.max(SAFETY * wp.sqrt(allowed / wp.max(error, wp.float64(1.0e-30))), SHORTER)
+            longer = wp.min(factor * dt, longest)
         clock[RATE] = (clock[SPEED] - clock[BEFORE]) / dt
         clock[BEFORE] = clock[SPEED]
-        # What ends at a time that is wanted was shorter than it might be.
-        longer = wp.where(factor < wp.float64(1.0), factor * dt, wp.max(factor * dt, clock[WANTED]))
         longer = wp.min(longer, COURANT / wp.max(clock[SWIFT], wp.float64(1.0e-30)))
         return wp.clamp(longer, LEAST * pace.longest, pace.longest)
 

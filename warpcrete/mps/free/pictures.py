@@ -60,6 +60,6 @@ def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
     return [("spread", 1e3, "spread" if scene.axial else "way of the front"), ("top", 1e3, "highest point")]
 
 
-def draw(simulation: Any, run: Run, colouring: str) -> Any:
+def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
     """The picture of a run folder, if there is more than the start."""
     return plot_free(run) if "surface" in run.result else None

@@ -40,7 +40,7 @@ class FreeSimulation(FlowRun):
         """Unit of a column of the series."""
         return (UNITS | MORE.get(self.scene.test, {}))[column]
 
-    def display(self, colouring: str) -> FreeDisplay:
+    def display(self, colouring: str | None = None) -> FreeDisplay:
         """What recorders draw."""
         return FreeDisplay(self, colouring)
 

@@ -3,9 +3,9 @@
 A long heap rests where the weight of its slope is borne by the plate (Roussel & Coussot 2005), and sooner, by the next
 order of shallow theory, as it resists its stretch too (in a plane Dubash, Balmforth, Slim & Cochard 2009; about an axis
 here); a tall one where each layer has grown wide enough to bear what is above it (Murata 1984; for cones Schowalter &
-Christensen 1998). Murata's
-concrete yields where the largest shear stress is the yield stress, half of what presses (Tresca); a Bingham fluid in
-three dimensions does where the invariant of all stresses is (von Mises), at the root of a third of it.
+Christensen 1998). Murata's concrete yields where the largest shear stress is the yield stress, half of what presses
+(Tresca); a Bingham fluid in three dimensions does where the invariant of all stresses is (von Mises), at the root of a
+third of it.
 """
 
 from __future__ import annotations

@@ -36,6 +36,6 @@ def plot_part(run: Run) -> Any:
     return figure
 
 
-def draw(simulation: Any, run: Run, colouring: str) -> Any:
+def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
     """The picture of a run folder, if there is more than the start."""
     return plot_part(run) if "profile" in run.result else None

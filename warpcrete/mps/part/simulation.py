@@ -38,7 +38,7 @@ class PartSimulation(FlowRun):
         """Unit of a column of the series."""
         return UNITS[column]
 
-    def display(self, colouring: str) -> PartDisplay:
+    def display(self, colouring: str | None = None) -> PartDisplay:
         """What recorders draw."""
         return PartDisplay(self, colouring)
 
