@@ -53,6 +53,52 @@ def lowest_bit(bits: wp.int32) -> wp.int32:
 
 
 @functools.cache
+def lane_functions(scalar, lanes: int) -> SimpleNamespace:
+    """What threads that work on one row together, `lanes` beside one another in a warp, have in common: `either` of
+    their bits, and sums (`total` of vectors, `total_double` of numbers), the same to the bit for all of them. All must
+    call. A CPU has one lane.
+    """
+    vec3 = types(scalar).vec3
+    snippet = f"""
+#if defined(__CUDA_ARCH__)
+    const unsigned all = {2**lanes - 1}u << (threadIdx.x & 31u & ~{lanes - 1}u);
+    return __shfl_xor_sync(all, value, offset);
+#else
+    return value;
+#endif
+"""
+
+    @wp.func_native(snippet)
+    def other_int(value: wp.int32, offset: wp.int32) -> wp.int32: ...
+
+    @wp.func_native(snippet)
+    def other(value: scalar, offset: wp.int32) -> scalar: ...
+
+    @wp.func_native(snippet)
+    def other_double(value: wp.float64, offset: wp.int32) -> wp.float64: ...
+
+    @wp.func
+    def either(bits: wp.int32) -> wp.int32:
+        for k in range(wp.static(lanes.bit_length() - 1)):
+            bits = bits | other_int(bits, 1 << k)
+        return bits
+
+    @wp.func
+    def total(v: vec3) -> vec3:
+        for k in range(wp.static(lanes.bit_length() - 1)):
+            v = v + vec3(other(v[0], 1 << k), other(v[1], 1 << k), other(v[2], 1 << k))
+        return v
+
+    @wp.func
+    def total_double(value: wp.float64) -> wp.float64:
+        for k in range(wp.static(lanes.bit_length() - 1)):
+            value = value + other_double(value, 1 << k)
+        return value
+
+    return SimpleNamespace(either=either, total=total, total_double=total_double)
+
+
+@functools.cache
 def vector_functions(scalar):
     """Small helpers of one precision: ``xyz`` of a 4-vector, ``pack`` the reverse."""
     t = types(scalar)

@@ -19,7 +19,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.rows import row_functions
-from ..common.types import SPAN, cpu_flags, lowest_bit, types, vector_functions
+from ..common.types import SPAN, cpu_flags, lane_functions, lowest_bit, types, vector_functions
 from .analytic_walls import analytic_wall_functions
 from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
 from .contact_law import contact_functions
@@ -242,8 +242,10 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 
 
 @functools.cache
-def closeness_function(scalar, bonds: bool):
-    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it."""
+def closeness_function(scalar, bonds: bool, lanes: int):
+    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it; of those
+    that fall to a `lane`.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -253,10 +255,11 @@ def closeness_function(scalar, bonds: bool):
 
     @wp.func
     def close_entries(
-        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32
-    ):
+        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32,
+        lane: wp.int32,
+    ):  # fmt: skip
         bits = wp.int32(0)
-        b = wp.int32(0)
+        b = lane
         x = xyz(position)
         while b < length:
             position_j = read_vec4(spheres.position, base + decode(read_int(pairs.other, block + b)))
@@ -266,14 +269,102 @@ def closeness_function(scalar, bonds: bool):
                 close = close or read_int(pairs.bond, block + b) > 0
             if close:
                 bits = bits | (1 << b)
-            b = b + 1
+            b = b + lanes
         return bits
 
     return close_entries
 
 
 @functools.cache
-def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool, dissipation: bool):
+def touching_function(scalar, law, half: bool, history: bool, bonds: bool, healing: bool, dissipation: bool):
+    """`touching`: contacts of some list entries, a bit each: their force on the sphere [N], its moment [N m], and the
+    energy that they lose [J].
+    """
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    functions = law.functions(scalar)
+    Parameters, contact_force = functions.Parameters, functions.force
+    Bond = bond_functions(scalar).Bond
+    pair_touch = pair_functions(scalar).pair_touch
+    bonded = bonded_function(scalar, healing, dissipation)
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+
+    @wp.func
+    def touching(
+        spheres: Spheres, pairs: Pairs, pair_parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond),
+        first_bond: wp.int32, row: wp.int32, base: wp.int32, first: wp.int32, last: wp.int32, i: wp.int32,
+        block: wp.int32, bits: wp.int32, dt: scalar, position_i: t.vec4, velocity_i: t.vec4, spin_i: t.vec3,
+    ):  # fmt: skip
+        force_i = t.vec3()
+        moment_i = t.vec3()
+        lost_i = wp.float64(0.0)
+        while bits != 0:
+            k = block + lowest_bit(bits)
+            bits = bits & (bits - 1)
+            entry = read_int(pairs.other, k)
+            j = base + decode(entry)
+            shared = wp.static(half) and j >= first and j < last
+            own = entry >= 0 or shared  # this copy of the pair is the one that counts
+            sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
+            spin_j = read_vec3(spheres.spin, j)
+            position_j, velocity_j = read_vec4(spheres.position, j), read_vec4(spheres.velocity, j)
+            pair = pair_touch(position_i, velocity_i, spin_i, position_j, velocity_j, spin_j, sign, dt)
+            old_history = t.vec3()
+            if wp.static(history):
+                old_history = read_vec3(pairs.history, k)
+            total, new_history, lost = contact_force(
+                pair_parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
+            )
+            if wp.static(history):
+                write_vec3(pairs.history, k, new_history)
+            bond_moment = t.vec3()
+            if wp.static(bonds):
+                total, bond_moment, lost = bonded(
+                    spheres, pairs, bond_parameters, first_bond, i, k, own, pair, sign * (spin_j - spin_i), total,
+                    lost, dt,
+                )  # fmt: skip
+            if wp.static(dissipation):
+                if own:
+                    lost_i += wp.float64(lost)
+            turn = wp.cross(pair.touch.normal, total)
+            force_i = force_i + sign * total
+            moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
+            if wp.static(half):
+                if shared:
+                    write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
+                    other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
+                    write_vec3(spheres.moment, j, other_moment)
+        return force_i, moment_i, lost_i
+
+    return touching
+
+
+@functools.cache
+def share_function(ways: int):
+    """`share`: of the bits that are set, those that fall to a way: the first to the first, the next to the next."""
+
+    @wp.func
+    def share(bits: wp.int32, way: wp.int32) -> wp.int32:
+        if wp.static(ways == 1):
+            return bits
+        mine = wp.int32(0)
+        turn = wp.int32(0)
+        left = bits
+        while left != 0:
+            if turn == way:
+                mine = mine | (left & -left)
+            turn = (turn + 1) % ways
+            left = left & (left - 1)
+        return mine
+
+    return share
+
+
+@functools.cache
+def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
+                  dissipation: bool, ways: int, lanes: int):  # fmt: skip
     """Everything that :func:`contact_kernel` calls."""
     structs = array_structs(scalar)
     law = pair_law.functions(scalar)
@@ -283,12 +374,12 @@ def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         Scenes=structs.Scenes, Spheres=structs.Spheres, Slots=structs.Slots, Pairs=structs.Pairs, Walls=structs.Walls,
         Parameters=law.Parameters, WallParameters=wall_law.functions(scalar).Parameters,
         Bond=bond_functions(scalar).Bond, Segment=analytic.Segment,
-        pair_touch=pair_functions(scalar).pair_touch, contact_force=law.force,
-        close_entries=closeness_function(scalar, bonds),
+        touching=touching_function(scalar, pair_law, half, history, bonds, healing, dissipation),
+        close_entries=closeness_function(scalar, bonds, lanes), share=share_function(ways),
         part_entries=parting_function(scalar, pair_law, half, history, healing, dissipation),
-        bonded=bonded_function(scalar, healing, dissipation),
         far_from_walls=analytic.far_from_walls, on_walls=analytic.on_walls,
         read_int=rows.read_int, read_vec3=rows.read_vec3, read_vec4=rows.read_vec4, write_vec3=rows.write_vec3,
+        **vars(lane_functions(scalar, lanes)),
     )  # fmt: skip
 
 
@@ -300,14 +391,16 @@ def contact_options(half: bool) -> dict:
 
 @functools.cache
 def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
-                   walls_too: bool, dissipation: bool):  # fmt: skip
+                   walls_too: bool, dissipation: bool, ways: int = 1, lanes: int = 1):  # fmt: skip
     """Kernel over spheres: contact forces [N] and moments about sphere centres [N m].
 
     In the half list they are added to what stands there, else they replace it. With `dissipation` it also adds up what
     energy friction, dashpots and breaking bonds take [J]. The launch owns spheres `first` to `last`, chunk `part`.
+    Contacts of a sphere are added up in so many `ways`, 1 or 4, to which they fall in turn, and these by pairs: by as
+    many `lanes`, threads of a GPU beside one another, or by one, to the same bits.
     """
     t, span = types(scalar), SPAN if half else 1
-    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, dissipation)
+    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, dissipation, ways, lanes)
     Parameters, WallParameters, Bond, Segment = f.Parameters, f.WallParameters, f.Bond, f.Segment
     Scenes, Spheres, Slots, Pairs, Walls = f.Scenes, f.Spheres, f.Slots, f.Pairs, f.Walls
 
@@ -331,7 +424,8 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
         pairs: Pairs,
         walls: Walls,
     ):
-        begin_i = first + wp.tid() * wp.static(span)
+        begin_i = first + wp.tid() / lanes * wp.static(span)
+        lane = wp.tid() % lanes
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
             s = spheres.scene[i]
             if flags[s, HALTED] != 0:
@@ -351,8 +445,9 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
             if wp.static(history or healing):
                 before = spheres.touching[i]
             for block in range(begin, end, BLOCK):
-                bits = f.close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
-                if wp.static(history or healing):
+                bits = f.close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block), lane)
+                bits = f.either(bits)
+                if lane == 0 and wp.static(history or healing):
                     parted = wp.static(ALL_TOUCHED) & ~bits
                     if block == begin:
                         parted = parted & before
@@ -362,42 +457,29 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
                         spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3], block,
                         end, parted,
                     )  # fmt: skip
-                while bits != 0:
-                    k = block + lowest_bit(bits)
-                    bits = bits & (bits - 1)
-                    entry = f.read_int(pairs.other, k)
-                    j = base + decode(entry)
-                    shared = wp.static(half) and j >= first and j < last
-                    own = entry >= 0 or shared  # this copy of the pair is the one that counts
-                    sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
-                    spin_j = f.read_vec3(spheres.spin, j)
-                    position_j, velocity_j = f.read_vec4(spheres.position, j), f.read_vec4(spheres.velocity, j)
-                    pair = f.pair_touch(position_i, velocity_i, spin_i, position_j, velocity_j, spin_j, sign, dt)
-                    old_history = t.vec3()
-                    if wp.static(history):
-                        old_history = f.read_vec3(pairs.history, k)
-                    total, new_history, lost = f.contact_force(
-                        pair_parameters[row + f.read_int(spheres.material, j)], pair.touch, old_history, dt
-                    )
-                    if wp.static(history):
-                        f.write_vec3(pairs.history, k, new_history)
-                    bond_moment = t.vec3()
-                    if wp.static(bonds):
-                        total, bond_moment, lost = f.bonded(
-                            spheres, pairs, bond_parameters, scenes.row[s].bonds, i, k, own, pair,
-                            sign * (spin_j - spin_i), total, lost, dt,
-                        )  # fmt: skip
-                    if wp.static(dissipation):
-                        if own:
-                            lost_i += wp.float64(lost)
-                    turn = wp.cross(pair.touch.normal, total)
-                    force_i = force_i + sign * total
-                    moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
-                    if wp.static(half):
-                        if shared:
-                            f.write_vec3(spheres.force, j, f.read_vec3(spheres.force, j) - sign * total)
-                            other_moment = f.read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
-                            f.write_vec3(spheres.moment, j, other_moment)
+                held_force, held_moment, held_lost = t.vec3(), t.vec3(), wp.float64(0.0)
+                low_force, low_moment, low_lost = t.vec3(), t.vec3(), wp.float64(0.0)
+                for way in range(lane, ways, lanes):
+                    force, moment, taken = f.touching(
+                        spheres, pairs, pair_parameters, bond_parameters, scenes.row[s].bonds, row, base, first, last,
+                        i, block, f.share(bits, way), dt, position_i, velocity_i, spin_i,
+                    )  # fmt: skip
+                    if wp.static(lanes == ways):
+                        force_i += f.total(force)
+                        moment_i += f.total(moment)
+                        lost_i += f.total_double(taken)
+                    else:  # by pairs, as lanes do
+                        if way % 2 == 1:
+                            force, moment, taken = held_force + force, held_moment + moment, held_lost + taken
+                        if way == 1:
+                            low_force, low_moment, low_lost = force, moment, taken
+                        if way == 3:
+                            force_i += low_force + force
+                            moment_i += low_moment + moment
+                            lost_i += low_lost + taken
+                        held_force, held_moment, held_lost = force, moment, taken
+            if lane != 0:
+                continue
             if wp.static(walls_too):
                 far = f.far_from_walls(position_i, f.read_vec4(spheres.clear, i))
                 if not far or scenes.row[s].still == 0:
