@@ -55,13 +55,14 @@ def lowest_bit(bits: wp.int32) -> wp.int32:
 @functools.cache
 def lane_functions(scalar, lanes: int) -> SimpleNamespace:
     """What threads that work on one row together, `lanes` beside one another in a warp, have in common: `either` of
-    their bits, and sums (`total` of vectors, `total_double` of numbers), the same to the bit for all of them. All must
-    call. A CPU has one lane.
+    their bits, and sums (`total` of vectors, `total_double` and `total_int` of numbers), the same to the bit for all of
+    them; after `meet_lanes` each reads what the others wrote. All must call. A CPU has one lane.
     """
     vec3 = types(scalar).vec3
+    group = f"const unsigned all = {2**lanes - 1}u << (threadIdx.x & 31u & ~{lanes - 1}u);"
     snippet = f"""
 #if defined(__CUDA_ARCH__)
-    const unsigned all = {2**lanes - 1}u << (threadIdx.x & 31u & ~{lanes - 1}u);
+    {group}
     return __shfl_xor_sync(all, value, offset);
 #else
     return value;
@@ -76,6 +77,22 @@ def lane_functions(scalar, lanes: int) -> SimpleNamespace:
 
     @wp.func_native(snippet)
     def other_double(value: wp.float64, offset: wp.int32) -> wp.float64: ...
+
+    meeting = f"""
+#if defined(__CUDA_ARCH__)
+    {group}
+    __syncwarp(all);
+#endif
+"""
+
+    @wp.func_native(meeting)
+    def meet_lanes(): ...
+
+    @wp.func
+    def total_int(value: wp.int32) -> wp.int32:
+        for k in range(wp.static(lanes.bit_length() - 1)):
+            value = value + other_int(value, 1 << k)
+        return value
 
     @wp.func
     def either(bits: wp.int32) -> wp.int32:
@@ -95,7 +112,9 @@ def lane_functions(scalar, lanes: int) -> SimpleNamespace:
             value = value + other_double(value, 1 << k)
         return value
 
-    return SimpleNamespace(either=either, total=total, total_double=total_double)
+    return SimpleNamespace(
+        either=either, total=total, total_double=total_double, total_int=total_int, meet_lanes=meet_lanes
+    )  # fmt: skip
 
 
 @functools.cache

@@ -293,9 +293,10 @@ def touching_function(scalar, law, half: bool, history: bool, bonds: bool, heali
 
     @wp.func
     def touching(
-        spheres: Spheres, pairs: Pairs, pair_parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond),
-        first_bond: wp.int32, row: wp.int32, base: wp.int32, first: wp.int32, last: wp.int32, i: wp.int32,
-        block: wp.int32, bits: wp.int32, dt: scalar, position_i: t.vec4, velocity_i: t.vec4, spin_i: t.vec3,
+        spheres: Spheres, pairs: Pairs, pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32, row: wp.int32, base: wp.int32, first: wp.int32,
+        last: wp.int32, i: wp.int32, block: wp.int32, bits: wp.int32, dt: scalar, position_i: t.vec4,
+        velocity_i: t.vec4, spin_i: t.vec3,
     ):  # fmt: skip
         force_i = t.vec3()
         moment_i = t.vec3()

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..common.control import FAILED, GOAL, HALTED, STALE, STEPS
 from ..common.rows import row_functions
-from ..common.types import SPAN, types, vector_functions
+from ..common.types import SPAN, lane_functions, types, vector_functions
 from .contacts import ALL_TOUCHED, decode
 from .structs import SINCE_BUILD, array_structs
 
@@ -52,23 +52,28 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
     other[k] = entry
 
 
-@functools.cache
-def search_kernels(scalar, half: bool, bonds: bool):
-    """Kernels ``count`` and ``search``.
+@wp.func
+def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
+    """Put the entries of a row in order."""
+    for k in range(begin + 1, end):
+        insert(other, begin, k - begin, other[k])
 
-    In the half list the larger sphere of a pair holds it (the lower place of two equal ones), so a search
-    reaches no farther than its own diameter; pairs across chunks stand at both, so near another chunk the search
-    reaches for the largest. On a GPU a count of pairs goes before the search that writes them. On a CPU one task
-    searches for a chunk, writes one row after the other into the chunk's `room` of a buffer, and counts at once;
-    `wanted` tells how much room the chunk needs.
-    """
+
+@functools.cache
+def search_functions(scalar, half: bool) -> SimpleNamespace:
+    """Who is searched for: `side` and `within` of octants, `holds` of pairs, `near_another` of chunks."""
     t = types(scalar)
-    span = 1 << 30 if half else 1
-    structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
-    find = find_function(scalar, half)
-    xyz = vector_functions(scalar).xyz
-    read_vec4 = row_functions(scalar).read_vec4
+
+    @wp.func
+    def side(octant: wp.int32, axis: wp.int32) -> scalar:
+        """Which way along an axis an octant lies."""
+        return wp.where((octant >> axis) & 1 == 1, scalar(1.0), scalar(-1.0))
+
+    @wp.func
+    def within(away: t.vec3, octant: wp.int32) -> wp.bool:
+        """Is a place this far from the middle in an octant? Every place is in one."""
+        place = wp.where(away[0] < scalar(0.0), 0, 1) + wp.where(away[1] < scalar(0.0), 0, 2)
+        return place + wp.where(away[2] < scalar(0.0), 0, 4) == octant
 
     @wp.func
     def holds(i: wp.int32, j: wp.int32, radius_i: scalar, radius_j: scalar, first: wp.int32, last: wp.int32):
@@ -87,6 +92,32 @@ def search_kernels(scalar, half: bool, bonds: bool):
                 if wp.length_sq(beyond) < reach * reach:
                     return True
         return False
+
+    return SimpleNamespace(side=side, within=within, holds=holds, near_another=near_another)
+
+
+@functools.cache
+def search_kernels(scalar, half: bool, bonds: bool, lanes: int = 1):
+    """Kernels ``count`` and ``search``.
+
+    In the half list the larger sphere of a pair holds it (the lower place of two equal ones), so a search
+    reaches no farther than its own diameter; pairs across chunks stand at both, so near another chunk the search
+    reaches for the largest. On a GPU a count of pairs goes before the search that writes them. On a CPU one task
+    searches for a chunk, writes one row after the other into the chunk's `room` of a buffer, and counts at once;
+    `wanted` tells how much room the chunk needs. Of few spheres each has eight `lanes` of a GPU, threads beside one
+    another, each of which searches one octant around it; `shares` tells how much each finds.
+    """
+    t = types(scalar)
+    span = 1 << 30 if half else 1
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    find = find_function(scalar, half)
+    xyz = vector_functions(scalar).xyz
+    read_vec4 = row_functions(scalar).read_vec4
+    together = lane_functions(scalar, lanes)
+
+    f = search_functions(scalar, half)
+    side, within, holds, near_another = f.side, f.within, f.holds, f.near_another
 
     def kernel(write: bool):
         @wp.kernel(module="unique", enable_backward=False)
@@ -111,8 +142,10 @@ def search_kernels(scalar, half: bool, bonds: bool):
             room: wp.vec2i,
             wanted: wp.array(dtype=wp.int32),
             other: wp.array(dtype=wp.int32),
+            shares: wp.array(dtype=wp.int32),
         ):
-            begin = first + wp.tid() * wp.static(span)
+            lane = wp.tid() % lanes
+            begin = first + wp.tid() / lanes * wp.static(span)
             row = room[0]
             for i in range(begin, wp.min(begin + wp.static(span), last)):
                 s = spheres.scene[i]
@@ -134,15 +167,27 @@ def search_kernels(scalar, half: bool, bonds: bool):
                 elif wp.static(write):
                     row = scenes.row[s].pairs + pairs.start[i + s]
                 found = wp.int32(0)
-                query = wp.hash_grid_query(grid, x, reach, s)
+                middle = x
+                if wp.static(lanes > 1):
+                    middle += scalar(0.5) * reach * t.vec3(side(lane, 0), side(lane, 1), side(lane, 2))
+                    reach = scalar(0.501) * reach
+                    if wp.static(write):
+                        for k in range(lane):
+                            row += shares[i * lanes + k]
+                query = wp.hash_grid_query(grid, middle, reach, s)
                 j = wp.int32(0)
                 while wp.hash_grid_query_next(query, j):
                     position_j = read_vec4(spheres.position, j)
                     limit = radius + position_j[3] + skin
                     close = wp.length_sq(xyz(position_j) - x) < limit * limit
+                    if wp.static(lanes > 1):
+                        close = close and within(xyz(position_j) - x, lane)
                     if wp.static(bonds):
                         # Bonds that hold across a gap wider than the skin stay in the list.
-                        if not close and stretched[i] > skin:
+                        far = not close and stretched[i] > skin
+                        if wp.static(lanes > 1):
+                            far = far and within(xyz(position_j) - x, lane)
+                        if far:
                             old = find(old_pairs, s, base, scenes.row[s].pairs, old_place[i], old_place[j])
                             if old >= 0:
                                 close = old_pairs.bond[old] > 0
@@ -152,6 +197,14 @@ def search_kernels(scalar, half: bool, bonds: bool):
                                 if wp.static(not half) or (row >= room[0] and row + found < room[1]):
                                     insert(other, row, found, j - base)
                             found += 1
+                if wp.static(lanes > 1):
+                    if wp.static(write):
+                        together.meet_lanes()
+                        if lane == 0:
+                            sort_row(other, row, scenes.row[s].pairs + pairs.start[i + s + 1])
+                    else:
+                        shares[i * lanes + lane] = found
+                        found = together.total_int(found)
                 if wp.static(half or not write):
                     count[i + s] = found
                 if wp.static(half):

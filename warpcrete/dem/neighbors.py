@@ -17,10 +17,12 @@ from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
 from ..kernels.dem.sorting import invert, iota, order_kernels, permute_kernel
 from .batch import MAXIMUM_ENTRIES, Batch
-from .stages import tasks
+from .stages import MANY, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 256
+OCTANTS = 8
+"""Threads of a GPU that search for the neighbours of a sphere where there are few."""
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
     "spheres": ("scene", "body", "force", "moment"),
@@ -75,6 +77,8 @@ class NeighborLists:
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
         self._place = zeros(n if f.half_list else 0)
         self._wanted = zeros(batch.threads)
+        self._searchers = OCTANTS if batch.device.is_cuda and n < MANY else 1
+        self._shares = zeros(n * self._searchers if self._searchers > 1 else 0)
         self._boxes = zeros((batch.threads, 2), t.vec3)
         self._total, self._face_total = zeros(scenes), zeros(scenes)
         self._identity, self._old_place, self._new_place = zeros(n), zeros(n), zeros(n)
@@ -193,16 +197,16 @@ class NeighborLists:
         edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
         chunks = list(pairwise(b.sphere_chunks.tolist()))
         lists = list_kernels(b.scalar)
-        count, search = search_kernels(b.scalar, f.half_list, f.bonds)
+        count, search = search_kernels(b.scalar, f.half_list, f.bonds, self._searchers)
         transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds)
 
         def searching(kernel: Any) -> list[Stage]:
             return [
                 b.stage(
-                    kernel, 1 if f.half_list else n, grid=self._grid.id, first=first, last=last, part=part,
-                    boxes=self._boxes, old_pairs=self._old, old_place=old_place, stretched=self._stretched,
+                    kernel, 1 if f.half_list else n * self._searchers, grid=self._grid.id, first=first, last=last,
+                    part=part, boxes=self._boxes, old_pairs=self._old, old_place=old_place, stretched=self._stretched,
                     count=self._count, place=self._place, room=wp.vec2i(edges[part], edges[part + 1]),
-                    wanted=self._wanted, other=found,
+                    wanted=self._wanted, other=found, shares=self._shares,
                 )
                 for part, (first, last) in enumerate(chunks)
             ]  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from itertools import pairwise
 
 from ..core.launching import Stage, members
@@ -17,7 +16,7 @@ from .batch import Batch
 
 WAYS = 4
 """Sums of a sphere's contacts on a GPU, before they are one; threads that form them, of few spheres."""
-MANY = int(os.environ.get("MANY", "200000"))
+MANY = 200_000
 """Spheres from which on a thread each keeps a GPU busy: four took a fifth longer for a million, a quarter less for a
 tenth of that."""
 

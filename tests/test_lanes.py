@@ -1,0 +1,57 @@
+"""Several threads of a GPU for one sphere: lists and bits are those of one thread."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+from bench_speed import make
+
+from warpcrete.core.device import find_device
+from warpcrete.dem import neighbors, stages
+from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.model import build_model
+from warpcrete.dem.state import State
+from warpcrete.dem.stepper import Stepper
+
+pytestmark = pytest.mark.skipif(not wp.is_cuda_available(), reason="a CPU has one thread for a sphere: needs a GPU")
+
+
+def box(kind, count, spread):
+    """Spheres, clumps or bonded spheres under gravity, sizes from one over the `spread` on."""
+    scene = make(kind, count)
+    sizes = scene.bodies[0].sizes * np.random.default_rng(3).uniform(1 / spread, 1.0, count)
+    return dataclasses.replace(scene, bodies=(dataclasses.replace(scene.bodies[0], sizes=sizes),))
+
+
+def stepped(scene, many, monkeypatch, precision):
+    for module in (neighbors, stages):
+        monkeypatch.setattr(module, "MANY", many)
+    model = build_model(scene, find_device("cuda:0"), precision)
+    stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
+    if scene.bonds is not None:
+        stepper.bond(scene.bonds, 1)
+    stepper.take(400)
+    return stepper
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize(("kind", "spread"), [("spheres", 1.0), ("spheres", 4.0), ("clumps", 1.5), ("bonded", 1.0)])
+def test_lists_and_bits_are_those_of_one_thread(kind, spread, precision, monkeypatch):
+    """Rows of lists by octants and by one search; forces in four sums by four threads and by one; at rest and moving,
+    lists built several times."""
+    one, few = (stepped(box(kind, 3000, spread), many, monkeypatch, precision) for many in (0, 10**9))
+    assert one.lists._searchers == 1 and few.lists._searchers == neighbors.OCTANTS
+    assert one.lists.builds[0] == few.lists.builds[0] > 1
+    total = one.state.pair_total
+    assert total == few.state.pair_total > 3000
+    for name in ("start", "other"):
+        ours, theirs = (getattr(s.state.pairs, name).numpy()[: total if name == "other" else None] for s in (few, one))
+        assert np.array_equal(ours, theirs), name
+    for struct, name in (
+        ("spheres", "position"),
+        ("spheres", "velocity"),
+        ("spheres", "force"),
+        ("bodies", "position"),
+    ):
+        assert np.array_equal(*(getattr(getattr(s.state, struct), name).numpy() for s in (few, one))), name
