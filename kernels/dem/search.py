@@ -219,8 +219,11 @@ def search_kernels(scalar, half: bool, bonds: bool, lanes: int = 1):
 
 
 @functools.cache
-def transfer_kernel(scalar, half: bool, history: bool, bonds: bool):
-    """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list."""
+def transfer_kernel(scalar, half: bool, history: bool, bonds: bool, lanes: int = 1):
+    """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list.
+
+    A sphere's entries fall to so many `lanes`, threads of a GPU, in turn.
+    """
     t = types(scalar)
     span = SPAN if half else 1
     structs = array_structs(scalar)
@@ -243,7 +246,8 @@ def transfer_kernel(scalar, half: bool, history: bool, bonds: bool):
         spheres: Spheres,
         pairs: Pairs,
     ):
-        begin = first + wp.tid() * wp.static(span)
+        lane = wp.tid() % lanes
+        begin = first + wp.tid() / lanes * wp.static(span)
         for i in range(begin, wp.min(begin + wp.static(span), last)):
             s = spheres.scene[i]
             if flags[s, STALE] == 0:
@@ -252,7 +256,7 @@ def transfer_kernel(scalar, half: bool, history: bool, bonds: bool):
             row = scenes.row[s].pairs
             if wp.static(history or bonds):
                 spheres.touching[i] = wp.static(ALL_TOUCHED)
-            for k in range(row + pairs.start[i + s], row + pairs.start[i + s + 1]):
+            for k in range(row + pairs.start[i + s] + lane, row + pairs.start[i + s + 1], lanes):
                 j = base + pairs.other[k]
                 if wp.static(half):
                     j = base + found[place[i] + k - row - pairs.start[i + s]]

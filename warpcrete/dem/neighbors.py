@@ -22,7 +22,7 @@ from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 256
 OCTANTS = 8
-"""Threads of a GPU that search for the neighbours of a sphere where there are few."""
+"""Threads of a GPU that search for the neighbours of a sphere, and fill its row, where there are few."""
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
     "spheres": ("scene", "body", "force", "moment"),
@@ -198,7 +198,7 @@ class NeighborLists:
         chunks = list(pairwise(b.sphere_chunks.tolist()))
         lists = list_kernels(b.scalar)
         count, search = search_kernels(b.scalar, f.half_list, f.bonds, self._searchers)
-        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds)
+        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds, self._searchers)
 
         def searching(kernel: Any) -> list[Stage]:
             return [
@@ -225,7 +225,7 @@ class NeighborLists:
             starts=starts(b.pairs.start, self._total),
             transfer=[
                 b.stage(
-                    transfer, tasks(b, last - first), first=first, last=last, old_pairs=self._old,
+                    transfer, self._searchers * tasks(b, last - first), first=first, last=last, old_pairs=self._old,
                     old_place=old_place, place=self._place, found=found,
                 )
                 for first, last in chunks

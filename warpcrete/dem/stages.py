@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import warp as wp
+
 from ..core.launching import Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
@@ -51,7 +53,8 @@ def _contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
     b, f = batch, batch.features
     chunk = {"first": first, "last": last, "part": part}
     together = f.analytic and not f.half_list
-    ways = WAYS if b.device.is_cuda else 1
+    # In double precision four threads and one round apart.
+    ways = WAYS if b.device.is_cuda and b.scalar is wp.float32 else 1
     lanes = ways if last - first < MANY else 1
     contacts = contact_kernel(
         b.scalar,

@@ -24,8 +24,10 @@ from .state import State
 from .watch import unstable
 
 # Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
-# that rebuilding less often pays (142, 116, 111 us a step at 0.35, 0.6, 0.9).
-SKIN = {"cpu": 0.5, "cuda": 0.7}
+# that rebuilding less often pays: where there are few spheres above all (28,000: 80 and 72 us a step at 0.7 and 1.0;
+# 100,000 and more are 2 or 3 % slower then).
+SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
+FEW = 50_000
 MESH_SKIN = 4  # times the skin
 
 
@@ -59,7 +61,8 @@ class Stepper:
             among = NeighborLists(batch), StableStep(batch), 0
         self.lists, self._estimate, self.index = among
         self.batch = self.lists.batch
-        self.skin = SKIN["cuda" if self.batch.parallel else "cpu"] * state.mean_radius if skin is None else skin
+        kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
+        self.skin = SKIN[kind] * state.mean_radius if skin is None else skin
         if resumed is not None:
             self.skin = resumed["skin"]
         moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in model.walls)
