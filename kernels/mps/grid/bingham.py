@@ -140,4 +140,4 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 break
         return stress, scalar(1.0) / growth, slip
 
-    return SimpleNamespace(apparent=apparent, apparent_at_edge=apparent_at_edge, at_wall=at_wall)
+    return SimpleNamespace(apparent=apparent, unyielded=unyielded, apparent_at_edge=apparent_at_edge, at_wall=at_wall)

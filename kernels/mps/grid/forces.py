@@ -14,6 +14,9 @@ from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
 from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
 
+STIFFENING = wp.constant(2.0)
+"""Of a viscosity's way in logarithms, under a free surface, what a step goes where concrete stays below yielding."""
+
 
 @functools.cache
 def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
@@ -46,9 +49,20 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         return scalar(0.5) * wp.abs(sum)
 
     @wp.func
-    def relaxed(before: scalar, now: scalar) -> scalar:
-        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of the wall swing."""
+    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
+        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
+
+        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
+        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
+        yields goes the whole way.
+        """
         if before > scalar(0.0):
+            if wp.static(not of.periodic):
+                if now > before and before * rate < g.yield_stress:
+                    ahead = wp.pow(now / before, scalar(STIFFENING))
+                    return wp.min(before * ahead, law.unyielded(g))
+                if now < before:
+                    return now
             return wp.sqrt(before * now)
         return now
 
@@ -86,7 +100,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             mesh.besides[number + 2 * g.slots] = square + first_pair + second_pair
             square += first_pair + second_pair + third
         mesh.strain[number] = square
-        mesh.in_cell[number] = relaxed(mesh.in_cell[number], law.apparent(g, wp.sqrt(square)))
+        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(g, wp.sqrt(square)), wp.sqrt(square))
 
     @wp.kernel(enable_backward=False, module="unique")
     def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
@@ -112,7 +126,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
-                mesh.in_corner[place] = relaxed(mesh.in_corner[place], law.apparent_at_edge(g, total, most))
+                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(g, total, most), total)
 
     return SimpleNamespace(rates=rates, viscosity=viscosity)
 

@@ -50,10 +50,8 @@ class Pace:
 
 
 @functools.cache
-def pace_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `speeds`, or `sums` and `speeds_of_sums` on a GPU: how fast concrete goes; `tick` at the end of a step;
-    `begin` where a flow sets out.
-    """
+def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
+    """Kernels `speeds`, or `sums` and `speeds_of_sums` on a GPU: how fast concrete goes."""
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     Mesh = grid_structs(scalar, dims).Mesh
@@ -121,6 +119,14 @@ def pace_kernels(scalar, of: Kind) -> SimpleNamespace:
         if thread == 0 and flags[HALTED] == 0:
             mesh.clock[SPEED] = wp.sqrt(square / wp.max(volume, wp.float64(1.0e-30)))
             mesh.clock[SWIFT] = most
+
+    return SimpleNamespace(speeds=speeds, sums=sums, speeds_of_sums=speeds_of_sums)
+
+
+@functools.cache
+def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
+    """Kernels `tick` at the end of a step, and `begin` where a flow sets out."""
+    Mesh = grid_structs(scalar, of.dimensions).Mesh
 
     @wp.func
     def fit(
@@ -197,4 +203,4 @@ def pace_kernels(scalar, of: Kind) -> SimpleNamespace:
         elif pace.error > wp.float64(0.0):
             fit(pace, mesh.clock, viscous_least, pressure_least, crowding_least)
 
-    return SimpleNamespace(speeds=speeds, sums=sums, speeds_of_sums=speeds_of_sums, tick=tick, begin=begin)
+    return SimpleNamespace(tick=tick, begin=begin)

@@ -27,7 +27,7 @@ from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
-from ...kernels.mps.grid.pace import Pace, pace_kernels
+from ...kernels.mps.grid.pace import Pace, clock_kernels, speed_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
@@ -91,8 +91,8 @@ class GridFlow(Stepping):
         self.time = 0.0
         self.steps = 0
         self._step: Step | None = None
-        self._arrived, self._until = True, 0.0
-        self.pace, self._pace = self._paced(), pace_kernels(self.scalar, kind)
+        self._arrived, self._until, self._begun = True, 0.0, False
+        self.pace, self._clock = self._paced(), clock_kernels(self.scalar, kind)
         self._read_clock()
 
     def _paced(self) -> Any:
@@ -135,12 +135,19 @@ class GridFlow(Stepping):
         if steps is None and not self.adaptive:
             steps = math.floor(until / self.scene.time_step + 0.5)
         self._until, self._goal = until if steps is None else math.inf, FOR_EVER if steps is None else steps
-        launch(
-            self._pace.begin, 1, self.device, until=min(self._until, 1e300), goal=self._goal, pace=self.pace,
-            flags=self.flags, mesh=self.mesh, viscous_least=self.viscous_least, pressure_least=self.pressure_least,
-            crowding_least=self.crowding_least,
-        )  # fmt: skip
         self._arrived = self.steps >= self._goal or self._until - self.time < 1e-9 * self.scene.time_step
+        self._begun = False
+
+    def launch(self) -> None:
+        """Go some of the way; a GPU takes the steps, on the stream that it is given now, while Python goes on."""
+        if not self._begun:
+            launch(
+                self._clock.begin, 1, self.device, until=min(self._until, 1e300), goal=self._goal, pace=self.pace,
+                flags=self.flags, mesh=self.mesh, viscous_least=self.viscous_least,
+                pressure_least=self.pressure_least, crowding_least=self.crowding_least,
+            )  # fmt: skip
+            self._begun = True
+        super().launch()
 
     @property
     def arrived(self) -> bool:
@@ -271,7 +278,7 @@ class GridFlow(Stepping):
             *([] if self.full else self._disperse()),
             *self._extend(extend_kernel(scalar, kind)),
             self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
-            self.stage(self._pace.tick, 1),
+            self.stage(self._clock.tick, 1),
         ]  # fmt: skip
 
     @property
@@ -324,12 +331,13 @@ class GridFlow(Stepping):
 
     def _speeds(self) -> list[Stage]:
         """How fast the concrete goes."""
+        kernels = speed_kernels(self.scalar, self.state.layout.kind)
         if not self.parallel:
-            return [self.stage(self._pace.speeds, 1)]
+            return [self.stage(kernels.speeds, 1)]
         blocks, partial = -(-self.viscous.rows // BLOCK), self.viscous.arrays.partial
         return [
-            self.stage(self._pace.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
-            self.stage(self._pace.speeds_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
+            self.stage(kernels.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
+            self.stage(kernels.speeds_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
         ]
 
     def _drive(self) -> list[Stage]:
