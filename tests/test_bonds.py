@@ -140,7 +140,8 @@ def test_healing_bonds_at_first_touch_only_where_asked_for(start):
 
 def test_bond_across_a_gap_wider_than_the_skin_stays_listed(start):
     bonds = strong(effective_modulus=1e3)
-    stepper = start(two_spheres(gap=1e-7, velocity=(1.0, 0, 0), contact=SMOOTH, bonds=bonds, dt=2e-5))
+    scene = two_spheres(gap=1e-7, velocity=(1.0, 0, 0), contact=SMOOTH, bonds=bonds, dt=2e-5)
+    stepper = start(scene, skin=0.5 * RADIUS)
     stepper.bond(bonds, 1)
     reach = 0.0
     for _ in range(1800):

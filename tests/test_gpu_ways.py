@@ -236,7 +236,8 @@ GRIDS = {
     "periodic pipe": lambda: scenes.tube(ends="periodic", length=0.1, yield_stress=400.0),
     "slump": lambda: scenes.slump(spacing=0.0125, yield_stress=500.0, lift_time=0.05),
     "L-box": lambda: scenes.lbox(concrete="own", density=2300.0, viscosity=20.0, yield_stress=30.0, spacing=0.0167,
-                                 lift_time=0.02, length=0.22, column_height=0.2, width=0.14),
+                                 lift_time=0.02, length=0.22, column_height=0.2, width=0.14, time_step=2e-3,
+                                 step_error=0.0),
 }  # fmt: skip
 
 
