@@ -93,12 +93,14 @@ def test_a_run_that_goes_on_takes_the_steps_of_one_that_was_not_cut(device):
 
 
 def test_a_forecast_tells_the_mean_step():
-    """From a coarser copy, whose cells are passed later; measured: within 12 % of the steps."""
+    """From a coarser copy, whose cells are passed later; measured: 1.4 % of the time, 4 % of the step. A thin heap of 100
+    Pa, which the copy has two cells for, takes a third of the steps that are foretold.
+    """
     scene = slump(spacing=0.0075, yield_stress=500.0, lift_time=0.0, duration=4.0)
     run = Simulation(scene, device="cpu").run()
     time, mean, remarks = _course(scene, "cpu", "float32")
-    assert time == pytest.approx(run.series["time"][-1], rel=0.3) and not remarks
-    assert mean == pytest.approx(run.series["time"][-1] / run.result["steps"], rel=0.3)
+    assert time == pytest.approx(run.series["time"][-1], rel=0.03) and not remarks
+    assert mean == pytest.approx(run.series["time"][-1] / run.result["steps"], rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +111,12 @@ def test_a_forecast_tells_the_mean_step():
 def test_what_it_refuses(given, text):
     with pytest.raises(SceneError, match=text):
         slump(**given)
+
+
+def test_a_column_on_a_piston_has_equal_steps():
+    with pytest.raises(SceneError, match="step_error = 0.001: is of flows on a grid.*take ends = periodic"):
+        scenes.channel(step_error=1e-3)
+    assert scenes.channel(step_error=1e-3, ends="periodic").step_error == 1e-3
 
 
 @pytest.mark.parametrize("name", ["slump", "funnel", "lbox"])

@@ -93,6 +93,14 @@ SLIPS = 2e5
 """Viscosity of a slip layer [Pa s/m] that leaves most of the velocity to what is sheared."""
 
 
+def full_of(paste):
+    """What a state reads of a scene."""
+    return SimpleNamespace(
+        concrete=paste, gravity=0.0, time_step=1e-3, step_error=0.0, regularisation=1e4, tolerance=1e-3,
+        maximum_iterations=100,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("yields", [0.0, 30.0])
 def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device, yields):
     """Concrete that slips along a wall across the cells: what rubs on it adds up to the wall's length."""
@@ -103,20 +111,11 @@ def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device, yields):
     nearest = nearest_wall(room, [(lambda x: (x - [0.2, 0.2]) @ normal, PLATE)])
     places, mass = fill_cells(room, 3, lambda x: nearest(x)[0] > 0)
     paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=yields)
-    scene = SimpleNamespace(
-        concrete=paste,
-        gravity=0.0,
-        time_step=1e-3,
-        step_error=0.0,
-        regularisation=1e4,
-        tolerance=1e-3,
-        maximum_iterations=100,
-    )
     layout = GridLayout(
         kind=Kind(2, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 3,
         slip=(layer, yields), speed=1.0, length=0.1, geometry=geometry, full=True,
     )  # fmt: skip
-    flow = GridFlow(GridState(scene, layout, find_device(device), "float64"))
+    flow = GridFlow(GridState(full_of(paste), layout, find_device(device), "float64"))
     along = np.array([-normal[1], normal[0]])
     flow.particles.velocity.assign(np.tile(0.3 * along, (flow.count, 1)))
     stages_through(flow, "wall_stress")
@@ -137,20 +136,11 @@ def test_a_flat_wall_anywhere_in_its_cells_rubs_on_all_of_it(axis, off):
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
     paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=0.0)
-    scene = SimpleNamespace(
-        concrete=paste,
-        gravity=0.0,
-        time_step=1e-3,
-        step_error=0.0,
-        regularisation=1e4,
-        tolerance=1e-3,
-        maximum_iterations=100,
-    )
     layout = GridLayout(
         kind=Kind(3, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 2,
         slip=(layer, 0.0), speed=1.0, length=0.1, geometry=geometry, full=True,
     )  # fmt: skip
-    flow = GridFlow(GridState(scene, layout, find_device("cpu"), "float64"))
+    flow = GridFlow(GridState(full_of(paste), layout, find_device("cpu"), "float64"))
     stages_through(flow, "wall_stress")
     grip = flow.mesh.grip.numpy().reshape(3, 3, -1).sum((1, 2))
     for along in range(3):

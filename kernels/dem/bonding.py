@@ -5,7 +5,7 @@ import functools
 import warp as wp
 
 from ..common.types import vector_functions
-from .contacts import decode
+from .pairs import decode
 from .structs import array_structs
 
 

@@ -9,7 +9,7 @@ from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .bond_parallel import bond_functions
 from .contact_law import contact_functions
-from .contacts import decode
+from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
 HYDRATED = wp.constant(2)  # kind of bond that hydrated contacts have; 1 is that of the others

@@ -11,7 +11,7 @@ import warp as wp
 from ..common.control import FAILED, GOAL, HALTED, STALE, STEPS
 from ..common.rows import row_functions
 from ..common.types import SPAN, lane_functions, types, vector_functions
-from .contacts import ALL_TOUCHED, decode
+from .pairs import ALL_TOUCHED, decode
 from .structs import SINCE_BUILD, array_structs
 
 

@@ -17,7 +17,7 @@ from ..common.types import types, vector_functions
 from ..common.walls import DRIVEN, wall_functions
 from .bond_parallel import bond_functions
 from .contact_law import contact_functions
-from .contacts import decode
+from .pairs import decode
 from .structs import DT, STABLE, array_structs
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import time
 import weakref
 from collections import deque
@@ -19,11 +18,11 @@ import warp as wp
 
 from ..kernels.common.barrier import GATE, barrier
 from .cores import Crowding
-from .device import parallel
+from .device import default_threads, parallel
 from .interrupts import put_off
 
-COMPILING = min(os.cpu_count() or 1, 16)
-"""Kernels that are compiled at once."""
+COMPILING = 16
+"""Kernels that are compiled at once, at most."""
 Size = int | tuple[int, ...]
 """Tasks of a launch, in one dimension or several."""
 
@@ -130,7 +129,7 @@ def load(stages: list[Any]) -> None:
                 return
             stage.load()
 
-    others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, len(left)) - 1)]
+    others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
     try:
         work(left.pop)
     finally:

@@ -11,8 +11,8 @@ import warp as wp
 from ..core.errors import refuse
 from ..geometry.rotation import rotate
 from ..kernels.common.control import FLAGS, STEPS
-from ..kernels.dem.contacts import ALL_TOUCHED
 from ..kernels.dem.mesh_contacts import MESH_SLOTS
+from ..kernels.dem.pairs import ALL_TOUCHED
 from ..kernels.dem.structs import CLOCK, DT, FORCE_SCALE, STABLE, TIME, array_structs
 from .bodies import BodyTable
 from .model import Model

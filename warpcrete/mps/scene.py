@@ -108,6 +108,13 @@ class FlowSettings(Declared):
     ] = None
 
 
+def check_interval(scene: Any) -> None:
+    """Refuse intervals of samples that no run can keep: shorter than its steps, if they are equal."""
+    positive("sample_interval", scene.sample_interval, "s")
+    if not scene.step_error:
+        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "one time step at least")
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FluidScene(FlowSettings):
     """A column of concrete in a pipe, driven from below by a piston at constant speed; SI units."""
@@ -142,6 +149,9 @@ class FluidScene(FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.paper_scheme and self.aggregates is not None:
             refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+        if self.ends == "piston" and self.step_error:
+            refuse("step_error", self.step_error, "is of flows on a grid; a column on a piston has equal steps",
+                   "take ends = periodic, or 0")  # fmt: skip
         if self.ends == "periodic":
             for name, given in (("paper_scheme", self.paper_scheme), ("aggregates", self.aggregates is not None)):
                 if given:
@@ -161,9 +171,7 @@ class FluidScene(FlowSettings):
             )  # fmt: skip
         if self.duration is not None:
             between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
-        positive("sample_interval", self.sample_interval, "s")
-        least = 0.0 if self.step_error else self.time_step
-        between("sample_interval", self.sample_interval, least, np.inf, "s", "one time step at least")
+        check_interval(self)
 
     def __repr__(self) -> str:
         phases = "one phase" if self.aggregates is None else f"{100 * self.aggregates.fraction:.0f} % aggregate"

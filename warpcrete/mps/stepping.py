@@ -104,16 +104,16 @@ class Stepping(ABC):
     def settle(self) -> None:
         """Wait, and see how far that came. Raises what a step failed with."""
         flags = self.flags.numpy()
-        self.steps = int(flags[int(STEPS)])
-        self.time = self._timed()
+        self._look(flags)
         if flags[int(FAILED)]:
             self._fail(int(flags[int(FAILED)]))
         if flags[int(STALE)]:
             self.build()
 
-    def _timed(self) -> float:
-        """Time now, after so many steps [s]."""
-        return self.steps * self.scene.time_step
+    def _look(self, flags: np.ndarray) -> None:
+        """What is known of where it is."""
+        self.steps = int(flags[int(STEPS)])
+        self.time = self.steps * self.scene.time_step
 
     def _fail(self, what: int) -> None:
         if what == LOST:

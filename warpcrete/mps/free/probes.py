@@ -19,6 +19,7 @@ UNITS = {
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
     "time_step": "s",
+    "steps": "1",
 }
 """Of the columns of a row."""
 MORE = {
@@ -135,4 +136,5 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
         "time_step": flow.next_step,
+        "steps": float(flow.steps),
     } | more

@@ -15,7 +15,7 @@ from ...geometry.walls import Wall
 from ..column import ConcreteParameters
 from ..grid.geometry import BARE, MIRROR, WALL
 from ..mixes import CONSTANTS, concrete_of
-from ..scene import STEP_ERROR
+from ..scene import STEP_ERROR, check_interval
 from ..theory import Concrete
 
 TESTS = ("slump", "funnel", "lbox", "none")
@@ -145,9 +145,7 @@ class FreeScene(FreeSettings):
         if self.spacing > smallest / 4:
             refuse("spacing", self.spacing, "must leave four cells across the concrete at the start",
                    f"take {smallest / 4:.3g} m or less")  # fmt: skip
-        positive("sample_interval", self.sample_interval, "s")
-        least = 0.0 if self.step_error else self.time_step
-        between("sample_interval", self.sample_interval, least, np.inf, "s", "one time step at least")
+        check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if not self.step_error and self.time_step * fall > self.spacing:
             refuse("time_step", self.time_step, f"lets concrete that falls at {fall:.3g} m/s pass more than a cell",

@@ -88,7 +88,6 @@ class GridFlow(Stepping):
         self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
         self._carried = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
         self._known = [wp.zeros(faces, dtype=wp.int32, device=self.device) for _ in range(2)]
-        self.time = 0.0
         self.steps = 0
         self._step: Step | None = None
         self._arrived, self._until, self._begun = True, 0.0, False
@@ -132,9 +131,10 @@ class GridFlow(Stepping):
 
     def aim(self, until: float = math.inf, steps: int | None = None) -> None:
         """Say where to go: to `until` [s], to the step that ends nearest if all are equal, or to so many steps."""
-        if steps is None and not self.adaptive:
-            steps = math.floor(until / self.scene.time_step + 0.5)
-        self._until, self._goal = until if steps is None else math.inf, FOR_EVER if steps is None else steps
+        super().aim(until, steps)
+        self._until = math.inf
+        if steps is None and self.adaptive:
+            self._until, self._goal = until, FOR_EVER
         self._arrived = self.steps >= self._goal or self._until - self.time < 1e-9 * self.scene.time_step
         self._begun = False
 
@@ -162,17 +162,14 @@ class GridFlow(Stepping):
         by_time = min((self._until - self.time) / self.next_step, FOR_EVER)
         return min(max(1, math.ceil(by_time - 1e-6)), self._goal - self.steps)
 
-    def settle(self) -> None:
-        """Wait, and see how far that came. Raises what a step failed with."""
+    def _look(self, flags: np.ndarray) -> None:
+        super()._look(flags)
+        self._arrived = bool(flags[int(HALTED)])
         self._read_clock()
-        super().settle()
-        self._arrived = bool(self.flags.numpy()[int(HALTED)])
-
-    def _timed(self) -> float:
-        return float(self.mesh.clock.numpy()[int(NOW)])
 
     def _read_clock(self) -> None:
-        self.next_step = float(self.mesh.clock.numpy()[int(WANTED)])
+        clock = self.mesh.clock.numpy()
+        self.time, self.next_step = float(clock[int(NOW)]), float(clock[int(WANTED)])
 
     def _system(self, rows: int, near: int) -> System:
         structs = array_structs(self.scalar, 2)
@@ -386,5 +383,4 @@ class GridFlow(Stepping):
         """Go on from a `state_dict`."""
         self.state.load_state_dict(found["arrays"])
         self.steps = int(found["numbers"]["steps"])
-        self.time = self._timed()
         self._read_clock()

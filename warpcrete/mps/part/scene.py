@@ -14,7 +14,7 @@ from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.meshes import rays
 from ...geometry.walls import MeshWall
-from ..scene import STEP_ERROR
+from ..scene import STEP_ERROR, check_interval
 from ..theory import Concrete, Steady, steady
 from ..theory import Line as Stretch
 
@@ -110,9 +110,7 @@ class PartScene(PartSettings):
             refuse("time_step", self.time_step, f"lets concrete of {fastest:.3g} m/s pass more than a cell",
                    f"take {self.spacing / fastest:.2g} s or less")  # fmt: skip
         between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
-        positive("sample_interval", self.sample_interval, "s")
-        shortest = 0.0 if self.step_error else self.time_step
-        between("sample_interval", self.sample_interval, shortest, np.inf, "s", "one time step at least")
+        check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Arc lengths and radii of equal area of a mesh's bore [m]."""

@@ -1,0 +1,349 @@
+"""Parts of the contact kernel that go through list entries: a pair's geometry and bond, what touches, what parted."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.rows import row_functions
+from ..common.types import lowest_bit, types, vector_functions
+from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
+from .contact_law import contact_functions
+from .structs import array_structs
+
+BLOCK = wp.constant(31)  # list entries gone through at a time; their bits leave the sign of an int32 alone
+ALL_TOUCHED = 2**31 - 1  # bits after a rebuild: whatever touched before
+
+
+@wp.func
+def decode(entry: wp.int32):
+    """Neighbour index of a list entry; entries are j, or -1 - j where j has the lower permanent number."""
+    if entry < 0:
+        return -1 - entry
+    return entry
+
+
+@functools.cache
+def pair_functions(scalar):
+    """`pair_touch`: the geometry of a touching or bonded pair."""
+    t = types(scalar)
+    contact = contact_functions(scalar)
+    Touch, sphere_touch = contact.Touch, contact.sphere_touch
+    xyz = vector_functions(scalar).xyz
+
+    @wp.struct
+    class PairTouch:
+        touch: Touch
+        apart: t.vec3  # velocity of the second centre seen from the first [m/s]
+        distance: scalar  # of the centres [m]
+        arm_i: scalar  # from either centre to the contact point [m]
+        arm_j: scalar
+
+    @wp.func
+    def pair_touch(
+        position_i: t.vec4,
+        velocity_i: t.vec4,
+        spin_i: t.vec3,
+        position_j: t.vec4,
+        velocity_j: t.vec4,
+        spin_j: t.vec3,
+        sign: scalar,
+        dt: scalar,
+    ):
+        """`sign` is 1 where i has the lower permanent number, else -1: the normal points from that sphere on."""
+        pair = PairTouch()
+        offset = xyz(position_j) - xyz(position_i)
+        distance = wp.length(offset)
+        gap = distance - (position_i[3] + position_j[3])
+        # Coincident centres have no direction: any fixed one will part them.
+        n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
+        if distance > scalar(0.0):
+            n = (sign / distance) * offset
+        # The contact point halves the overlap.
+        arm_i = position_i[3] + scalar(0.5) * gap
+        arm_j = position_j[3] + scalar(0.5) * gap
+        apart = sign * (xyz(velocity_j) - xyz(velocity_i))
+        # arm_i spin_i + arm_j spin_j, in a form that rounds alike in both copies of a pair, fused or not.
+        spins = spin_i + spin_j
+        sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
+        sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)
+        velocity = apart - wp.cross(sliding, n)
+        twist = scalar(0.5) * dt * wp.dot(spins, n)
+        pair.touch = sphere_touch(n, gap, velocity, twist, position_i[3], position_j[3], velocity_i[3], velocity_j[3])
+        pair.apart = apart
+        pair.distance = distance
+        pair.arm_i = arm_i
+        pair.arm_j = arm_j
+        return pair
+
+    return SimpleNamespace(PairTouch=PairTouch, pair_touch=pair_touch)
+
+
+@functools.cache
+def parting_function(scalar, law, half: bool, history: bool, healing: bool, dissipation: bool):
+    """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
+    `block` to `end`; the energy that they lose [J]."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    functions = law.functions(scalar)
+    Parameters = functions.Parameters
+    contact_energy = functions.energy
+    sphere_touch = contact_functions(scalar).sphere_touch
+
+    @wp.func
+    def part(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Parameters),
+        row: wp.int32,
+        base: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        radius: scalar,
+        mass: scalar,
+        k: wp.int32,
+    ):
+        lost = wp.float64(0.0)
+        if wp.static(history):
+            if wp.static(dissipation):
+                # A spring still loaded when the surfaces part takes its energy with it.
+                entry = pairs.other[k]
+                j = base + decode(entry)
+                counts = entry >= 0
+                if wp.static(half):
+                    counts = counts or (j >= first and j < last)
+                if wp.length_sq(pairs.history[k]) > scalar(0.0) and counts:
+                    touch = sphere_touch(
+                        t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, spheres.position[j][3], mass,
+                        spheres.velocity[j][3],
+                    )  # fmt: skip
+                    p = parameters[row + spheres.material[j]]
+                    lost += wp.float64(contact_energy(p, touch, pairs.history[k]))
+            pairs.history[k] = t.vec3()
+        if wp.static(healing):
+            if pairs.bond[k] < 0:
+                pairs.bond[k] = 0  # may bond again at the next touch
+        return lost
+
+    @wp.func
+    def part_entries(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Parameters),
+        row: wp.int32,
+        base: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        radius: scalar,
+        mass: scalar,
+        block: wp.int32,
+        end: wp.int32,
+        bits: wp.int32,
+    ):
+        lost = wp.float64(0.0)
+        left = bits
+        while left != 0:
+            k = block + lowest_bit(left)
+            left = left & (left - 1)
+            if k < end:
+                lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
+        return lost
+
+    return part_entries
+
+
+@functools.cache
+def bonded_function(scalar, healing: bool, dissipation: bool):
+    """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    PairTouch = pair_functions(scalar).PairTouch
+    bond = bond_functions(scalar)
+    Bond, bond_force, bond_energy = bond.Bond, bond.bond_force, bond.bond_energy
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
+
+    @wp.func
+    def bonded(
+        spheres: Spheres,
+        pairs: Pairs,
+        parameters: wp.array(dtype=Bond),
+        first_kind: wp.int32,
+        i: wp.int32,
+        k: wp.int32,
+        own: wp.bool,
+        pair: PairTouch,
+        relative_spin: t.vec3,
+        total: t.vec3,
+        lost: scalar,
+        dt: scalar,
+    ):
+        """Force of contact and bond [N], moment of the bond [N m], energy lost [J]; `own` copies count breaking."""
+        moment = t.vec3()
+        kind = read_int(pairs.bond, k)
+        if wp.static(healing):
+            if kind == UNBONDED:
+                kind = 1
+                pairs.bond[k] = 1
+        if kind > 0:
+            touch = pair.touch
+            n = touch.normal
+            # Distance now less distance before, without cancellation.
+            way = dt * pair.apart
+            came_from = pair.distance * n - way
+            stretch = wp.dot(way, pair.distance * n + came_from) / (pair.distance + wp.length(came_from))
+            held_force, held_moment, outcome = bond_force(
+                parameters[first_kind + kind], touch, stretch, relative_spin, read_vec4(pairs.bond_force, k),
+                read_vec4(pairs.bond_moment, k), dt,
+            )  # fmt: skip
+            if outcome < 0:
+                pairs.bond[k] = outcome
+                if own:
+                    broken = spheres.broken[i]
+                    if outcome == BROKEN_IN_TENSION:
+                        broken[0] = broken[0] + 1
+                    else:
+                        broken[1] = broken[1] + 1
+                    spheres.broken[i] = broken
+                if wp.static(dissipation):
+                    if touch.gap >= scalar(0.0):
+                        lost = scalar(0.0)
+                    lost += bond_energy(parameters[first_kind + kind], touch, held_force, held_moment)
+                held_force = t.vec4()
+                held_moment = t.vec4()
+                # A bond that breaks may leave a pair that no longer touches: the contact's dashpot must not outlive
+                # it.
+                if touch.gap >= scalar(0.0):
+                    total = t.vec3()
+            write_vec4(pairs.bond_force, k, held_force)
+            write_vec4(pairs.bond_moment, k, held_moment)
+            total = total + xyz(held_force) + held_force[3] * n
+            moment = xyz(held_moment) + held_moment[3] * n
+        return total, moment, lost
+
+    return bonded
+
+
+@functools.cache
+def closeness_function(scalar, bonds: bool, lanes: int):
+    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it; of those
+    that fall to a `lane`.
+    """
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4 = rows.read_int, rows.read_vec4
+
+    @wp.func
+    def close_entries(
+        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32,
+        lane: wp.int32,
+    ):  # fmt: skip
+        bits = wp.int32(0)
+        b = lane
+        x = xyz(position)
+        while b < length:
+            position_j = read_vec4(spheres.position, base + decode(read_int(pairs.other, block + b)))
+            reach = position[3] + position_j[3]
+            close = wp.length_sq(xyz(position_j) - x) < reach * reach
+            if wp.static(bonds):
+                close = close or read_int(pairs.bond, block + b) > 0
+            if close:
+                bits = bits | (1 << b)
+            b = b + lanes
+        return bits
+
+    return close_entries
+
+
+@functools.cache
+def touching_function(scalar, law, half: bool, history: bool, bonds: bool, healing: bool, dissipation: bool):
+    """`touching`: contacts of some list entries, a bit each: their force on the sphere [N], its moment [N m], and the
+    energy that they lose [J].
+    """
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    functions = law.functions(scalar)
+    Parameters, contact_force = functions.Parameters, functions.force
+    Bond = bond_functions(scalar).Bond
+    pair_touch = pair_functions(scalar).pair_touch
+    bonded = bonded_function(scalar, healing, dissipation)
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+
+    @wp.func
+    def touching(
+        spheres: Spheres, pairs: Pairs, pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32, row: wp.int32, base: wp.int32, first: wp.int32,
+        last: wp.int32, i: wp.int32, block: wp.int32, bits: wp.int32, dt: scalar, position_i: t.vec4,
+        velocity_i: t.vec4, spin_i: t.vec3,
+    ):  # fmt: skip
+        force_i = t.vec3()
+        moment_i = t.vec3()
+        lost_i = wp.float64(0.0)
+        while bits != 0:
+            k = block + lowest_bit(bits)
+            bits = bits & (bits - 1)
+            entry = read_int(pairs.other, k)
+            j = base + decode(entry)
+            shared = wp.static(half) and j >= first and j < last
+            own = entry >= 0 or shared  # this copy of the pair is the one that counts
+            sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
+            spin_j = read_vec3(spheres.spin, j)
+            position_j, velocity_j = read_vec4(spheres.position, j), read_vec4(spheres.velocity, j)
+            pair = pair_touch(position_i, velocity_i, spin_i, position_j, velocity_j, spin_j, sign, dt)
+            old_history = t.vec3()
+            if wp.static(history):
+                old_history = read_vec3(pairs.history, k)
+            total, new_history, lost = contact_force(
+                pair_parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
+            )
+            if wp.static(history):
+                write_vec3(pairs.history, k, new_history)
+            bond_moment = t.vec3()
+            if wp.static(bonds):
+                total, bond_moment, lost = bonded(
+                    spheres, pairs, bond_parameters, first_bond, i, k, own, pair, sign * (spin_j - spin_i), total,
+                    lost, dt,
+                )  # fmt: skip
+            if wp.static(dissipation):
+                if own:
+                    lost_i += wp.float64(lost)
+            turn = wp.cross(pair.touch.normal, total)
+            force_i = force_i + sign * total
+            moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
+            if wp.static(half):
+                if shared:
+                    write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
+                    other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
+                    write_vec3(spheres.moment, j, other_moment)
+        return force_i, moment_i, lost_i
+
+    return touching
+
+
+@functools.cache
+def share_function(ways: int):
+    """`share`: of the bits that are set, those that fall to a way: the first to the first, the next to the next."""
+
+    @wp.func
+    def share(bits: wp.int32, way: wp.int32) -> wp.int32:
+        if wp.static(ways == 1):
+            return bits
+        mine = wp.int32(0)
+        turn = wp.int32(0)
+        left = bits
+        while left != 0:
+            if turn == way:
+                mine = mine | (left & -left)
+            turn = (turn + 1) % ways
+            left = left & (left - 1)
+        return mine
+
+    return share
