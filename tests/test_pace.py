@@ -93,8 +93,8 @@ def test_a_run_that_goes_on_takes_the_steps_of_one_that_was_not_cut(device):
 
 
 def test_a_forecast_tells_the_mean_step():
-    """From a coarser copy, whose cells are passed later; measured: 1.4 % of the time, 4 % of the step. A thin heap of 100
-    Pa, which the copy has two cells for, takes a third of the steps that are foretold.
+    """From a coarser copy, whose cells are passed later; measured: 1.4 % of the time, 4 % of the step. A thin heap of
+    100 Pa, which the copy has two cells for, takes a third of the steps that are foretold.
     """
     scene = slump(spacing=0.0075, yield_stress=500.0, lift_time=0.0, duration=4.0)
     run = Simulation(scene, device="cpu").run()
@@ -114,7 +114,7 @@ def test_what_it_refuses(given, text):
 
 
 def test_a_column_on_a_piston_has_equal_steps():
-    with pytest.raises(SceneError, match="step_error = 0.001: is of flows on a grid.*take ends = periodic"):
+    with pytest.raises(SceneError, match=r"step_error = 0\.001: is of flows on a grid.*take ends = periodic"):
         scenes.channel(step_error=1e-3)
     assert scenes.channel(step_error=1e-3, ends="periodic").step_error == 1e-3
 

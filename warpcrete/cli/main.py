@@ -182,6 +182,9 @@ processes, one a core. The folder holds study.md, study.csv, study.png and a run
   --resume FOLDER        go on with a study: finished cases are not run again
   --device, --precision  as for run
   --processes N          at a time on a CPU                                               [default: one a core]
+  --scheduler WHICH      run the cases on workers of Dask (pip install 'warpcrete[cluster]'): 'local' starts one a GPU
+                         or a core, 'slurm' submits jobs as Dask's configuration has them, else a scheduler's address
+  --workers N            that a scheduler is to start
   --frames, --checkpoint-every, and recorders   as for run; no recordings unless asked for, as with --rerun
   --quiet                no progress bar
 

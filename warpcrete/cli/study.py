@@ -28,9 +28,19 @@ SETTINGS = {
     "device": str,
     "precision": str,
     "processes": int,
+    "scheduler": str,
+    "workers": int,
     "frames": float,
     "checkpoint-every": float,
 }
+
+
+WHERE = ("processes", "scheduler", "workers")
+"""Settings that say where cases run, which a study may go on with others of."""
+
+
+def _where(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: settings.get(name) for name in WHERE}
 
 
 def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
@@ -126,7 +136,7 @@ def _resumed(
     scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
 ) -> Study:
     folder = settings["resume"]
-    given = [n for n in settings if n not in ("resume", "quiet", "processes") and settings[n]] + list(options)
+    given = [n for n in settings if n not in ("resume", "quiet", *WHERE) and settings[n]] + list(options)
     if scene is not None or given:
         raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
     if not (folder / "study.json").is_file():
@@ -134,7 +144,7 @@ def _resumed(
     name = read_json(folder / "study.json").get("scene")
     if name not in modules:
         raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
-    return resume_study(folder, modules[name], processes=settings.get("processes"), progress=tell)
+    return resume_study(folder, modules[name], progress=tell, **_where(settings))
 
 
 def _begun(
@@ -154,7 +164,7 @@ def _begun(
         one_at_a_time=settings["one-at-a-time"],
         device=settings.get("device"),
         precision=settings.get("precision", PRECISIONS[0]),
-        processes=settings.get("processes"),
+        **_where(settings),
         frames=settings.get("frames", 25.0),
         checkpoint_every=settings.get("checkpoint-every", 60.0),
         progress=tell,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import multiprocessing
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
@@ -13,12 +14,15 @@ from typing import Any
 
 from ..core.device import default_threads
 from ..core.errors import WarpcreteError
+from ..core.files import read_json
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
 
+FAILED = "failed.txt"
+"""Says in a case's folder what it failed with for good."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 Book = Callable[[Case, Any], None]
 """Told what came of a case: a run, its result.json, or an exception."""
@@ -129,18 +133,50 @@ def _end_with_parent() -> None:
 
 def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case) -> Any:
     """One case in a process of its own; returns its result.json, or what it failed with."""
-    simulation: Simulation | None = None
+    module = importlib.import_module(module_name)
+    return run_cases(record, module, Path(folder), [case], lambda: _stop_event is not None and _stop_event.is_set())[0]
+
+
+def run_cases(
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
+) -> list[Any]:
+    """Run cases as the method runs many, on one thread of a CPU, until `asked` to stop.
+
+    Returns for each its result.json, what it failed with, or None if it had not begun.
+    """
+    simulations: list[Simulation] = []
 
     def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
-        if _stop_event is not None and _stop_event.is_set():
-            if phase != "running" or simulation is None:
+        if asked():
+            if phase != "running":
                 raise KeyboardInterrupt
-            simulation.stop_requested = True
+            for simulation in simulations:
+                simulation.stop_requested = True
 
-    module = importlib.import_module(module_name)
-    simulation, checkpoint = simulation_of(record, module, Path(folder), case, 1, hear)
-    run_many = method_of(simulation.scene).run_many
-    (outcome,) = run_many([simulation], [checkpoint], lambda phase, fraction: hear(phase, fraction, {}))
+    if not cases or asked():
+        return [None] * len(cases)
+    pairs = [simulation_of(record, module, folder, case, 1, hear) for case in cases]
+    simulations += [simulation for simulation, _ in pairs]
+    run_many = method_of(simulations[0].scene).run_many
+    outcomes = run_many(simulations, [path for _, path in pairs], lambda phase, fraction: hear(phase, fraction, {}))
+    return [_plain(outcome) for outcome in outcomes]
+
+
+def _plain(outcome: Any) -> Any:
+    """What of an outcome goes from a process to another."""
     if isinstance(outcome, Run):
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None
+
+
+def kept(folder: Path) -> Any:
+    """What came of a case before: its result.json, its error, or None; one cut before a checkpoint is cleared away."""
+    if (folder / FAILED).is_file():
+        return WarpcreteError((folder / FAILED).read_text().strip())
+    if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
+        result = read_json(folder / "result.json")
+        if result.get("finished") and "checks" in result:
+            return result
+    if folder.exists() and not (folder / "checkpoint.npz").is_file():
+        shutil.rmtree(folder)
+    return None

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,10 +28,10 @@ from ..methods import method_of
 from ..record.checks import failed_checks
 from ..record.recorders import RECORDERS
 from .cases import Case, cases_of
+from .cluster import Cluster, check_scheduler, open_cluster
 from .drawing import draw
-from .running import run_in_processes, run_on_gpu
+from .running import FAILED, kept, run_in_processes, run_on_gpu
 
-FAILED = "failed.txt"
 COUNTS = ("runs", "failed", "suspect")
 """Columns of a table: finished runs, runs that ended with an error, finished runs that a check does not accept."""
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -145,6 +144,8 @@ def run_study(
     processes: int | None = None,
     frames: float = 25.0,
     checkpoint_every: float = 60.0,
+    scheduler: str | None = None,
+    workers: int | None = None,
     progress: Progress | None = None,
     **recorders: bool,
 ) -> Study:
@@ -152,9 +153,11 @@ def run_study(
 
     `varied` holds the values of each varied parameter, `base` the others that differ from their defaults; `repeat`
     runs every case with so many seeds; `one_at_a_time` varies each parameter alone. `processes` are those of a CPU
-    (default: one a core); `recorders` those that a case has besides table and picture (`rerun`, `usd`). Raises
+    (default: one a core); `recorders` those that a case has besides table and picture (`rerun`, `usd`). With a
+    `scheduler` the cases run on the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Raises
     :class:`SceneError` before anything is written if any case makes no scene.
     """
+    check_scheduler(scheduler, workers, processes)
     known = declared_fields(module.scene.parameters)
     given: dict[str, Any] = module.scene.resolved(base or {})
     varied = _lists(module.scene, varied)
@@ -175,29 +178,55 @@ def run_study(
     cases = _meaningful(module.scene, cases)
     positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
-    found = find_device(device)
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
         # Paths, for one, are written down as the scene has them, whole.
         cases[place] = replace(case, parameters={name: made.parameters[name] for name in case.parameters})
     check_new(out)
-    out.mkdir(parents=True)
-    write_json(
-        out / "study.json",
-        {
-            "scene": scene_name,
-            "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
-            "device": str(found),
-            "precision": precision,
-            "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
-            "provenance": provenance(found, precision, int(given.get("seed", 0))),
-        },
-    )
-    return resume_study(out, module, processes=processes, progress=progress)
+    with open_cluster(scheduler, workers, device) as cluster:
+        seed = int(given.get("seed", 0))
+        if cluster is None:
+            here = find_device(device)
+            found, made_by = str(here), provenance(here, precision, seed)
+        else:
+            found, made_by = cluster.machine(device, precision, seed)
+        out.mkdir(parents=True)
+        write_json(
+            out / "study.json",
+            {
+                "scene": scene_name,
+                "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
+                "device": found,
+                "precision": precision,
+                "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
+                "provenance": made_by,
+            },
+        )
+        return _go_on(out, module, processes, cluster, progress)
 
 
-def resume_study(folder: Path, module: Any, *, processes: int | None = None, progress: Progress | None = None) -> Study:
-    """Go on with a study: finished and failed cases stay as they are, begun ones go on from their checkpoints."""
+def resume_study(
+    folder: Path,
+    module: Any,
+    *,
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Go on with a study: finished and failed cases stay as they are, begun ones go on from their checkpoints.
+
+    It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
+    """
+    check_scheduler(scheduler, workers, processes)
+    with open_cluster(scheduler, workers, read_json(folder / "study.json").get("device")) as cluster:
+        return _go_on(folder, module, processes, cluster, progress)
+
+
+def _go_on(
+    folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
+) -> Study:
+    """Run what is not finished, and write the tables."""
     record = read_json(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
@@ -226,7 +255,9 @@ def resume_study(folder: Path, module: Any, *, processes: int | None = None, pro
         tell("running", len(study.results) / len(cases), {})
 
     if pending:
-        if find_device(record["device"]).is_cuda:
+        if cluster is not None:
+            cluster.run(record, module, folder, pending, book)
+        elif find_device(record["device"]).is_cuda:
             run_on_gpu(record, module, folder, pending, book, tell)
         else:
             run_in_processes(record, module, folder, pending, processes, book)
@@ -257,15 +288,9 @@ def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
 
 def _known(study: Study, case: Case) -> bool:
     """Take over a case that is finished or failed; clear away one that was cut before its first checkpoint."""
-    folder = study.folder / case.name
-    if (folder / FAILED).is_file():
-        study.failures[case.name] = (folder / FAILED).read_text().strip()
-        return True
-    if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
-        result = read_json(folder / "result.json")
-        if result.get("finished") and "checks" in result:
-            study.results[case.name] = result
-            return True
-    if folder.exists() and not (folder / "checkpoint.npz").is_file():
-        shutil.rmtree(folder)
-    return False
+    found = kept(study.folder / case.name)
+    if isinstance(found, dict):
+        study.results[case.name] = found
+    elif found is not None:
+        study.failures[case.name] = str(found)
+    return found is not None

@@ -1,0 +1,128 @@
+"""Studies on workers of Dask: same folders and bits, lost workers, interruptions, jobs of SLURM."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+
+import dask.config
+import psutil
+import pytest
+from pumping import wait_until
+from test_study import BASE
+
+from warpcrete.core.errors import SceneError, WarpcreteError
+from warpcrete.studies.cluster import check_scheduler, slurm_cluster
+from warpcrete.studies.study import resume_study, run_study
+
+pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
+LONG = BASE | dict(travel=0.3, sample_interval=0.005)
+
+
+def hashes(study):
+    return {name: result["state_hash"] for name, result in study.results.items()}
+
+
+def begun(out):
+    """A study of two cases on two workers, as a command in a process group of its own."""
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in LONG.items()]
+    return subprocess.Popen(
+        [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.3", "0.31",
+         *options, "--out", str(out), "--device", "cpu", "--scheduler", "local", "--workers", "2",
+         "--checkpoint-every", "0.2", "--quiet"],
+        start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+
+
+def when_running(process, out):
+    """Wait until every case has left a checkpoint."""
+    assert wait_until(lambda: process.poll() is not None or len(list(out.glob("*/checkpoint.npz"))) == 2, 120)
+    assert process.poll() is None, process.communicate()[0]
+
+
+def test_workers_make_the_same_folders_and_bits(device, tmp_path):
+    varied = {"velocity": [0.3, 0.6], "overlap_limit": [0.0, 1e-6]}
+    alone = run_study("pipe", pipe_module, varied, base=BASE, out=tmp_path / "alone", device=device, processes=2)
+    workers = None if device.startswith("cuda") else 2
+    told = []
+    study = run_study(
+        "pipe", pipe_module, varied, base=BASE, out=tmp_path / "dask", device=device, scheduler="local",
+        workers=workers, progress=lambda phase, fraction, figures: told.append(fraction),
+    )  # fmt: skip
+    assert study.finished and len(study.results) == 2 and len(study.failures) == 2 and told[-1] == 0.5
+    assert hashes(study) == hashes(alone) and study.failures == alone.failures
+    files = [sorted(p.relative_to(s.folder) for p in s.folder.rglob("*")) for s in (study, alone)]
+    assert files[0] == files[1]
+    # It goes on elsewhere, with what is missing alone.
+    name = next(iter(study.results))
+    kept = {n: (study.folder / n / "result.json").stat().st_mtime_ns for n in study.results if n != name}
+    (study.folder / name / "result.json").unlink()
+    again = resume_study(study.folder, pipe_module, scheduler="local", workers=1)
+    assert hashes(again) == hashes(alone) and again.failures == alone.failures
+    assert all((study.folder / n / "result.json").stat().st_mtime_ns == t for n, t in kept.items())
+
+
+def test_a_lost_worker_costs_what_came_after_the_last_checkpoint(tmp_path):
+    out = tmp_path / "study"
+    process = begun(out)
+    when_running(process, out)
+    workers = [p for p in psutil.Process(process.pid).children() if "spawn_main" in " ".join(p.cmdline())]
+    assert len(workers) == 2
+    workers[0].kill()
+    output = process.communicate(timeout=240)[0]
+    assert process.returncode == 0, output
+    alone = run_study("pipe", pipe_module, {"velocity": [0.3, 0.31]}, base=LONG, out=tmp_path / "alone", device="cpu")
+    found = resume_study(out, pipe_module)
+    assert len(alone.results) == 2 and hashes(found) == hashes(alone)
+
+
+def test_an_interrupted_study_stops_at_the_next_samples_and_goes_on(tmp_path):
+    out = tmp_path / "study"
+    process = begun(out)
+    when_running(process, out)
+    os.killpg(process.pid, signal.SIGINT)
+    output = process.communicate(timeout=60)[0]
+    assert process.returncode == 130 and "go on with: warpcrete study --resume" in output, output
+    assert len(list(out.glob("*/checkpoint.npz"))) == 2 and "Traceback" not in output
+    study = resume_study(out, pipe_module, scheduler="local", workers=2)
+    assert study.finished and len(study.results) == 2
+
+
+def test_a_job_of_slurm_is_what_dask_is_told(tmp_path):
+    with slurm_cluster("cuda") as cluster:
+        script = cluster.job_script()
+    assert "#SBATCH --gres=gpu:1" in script and "#SBATCH --cpus-per-task=1" in script
+    assert f"{sys.executable} -m distributed.cli.dask_worker" in script and "--nthreads 1" in script
+    told = {"cores": 8, "memory": "16 GB", "queue": "night", "walltime": "02:00:00",
+            "job-extra-directives": ["--account=concrete"]}  # fmt: skip
+    with (
+        dask.config.set({"jobqueue.slurm": dask.config.get("jobqueue.slurm") | told}),
+        slurm_cluster(None) as cluster,
+    ):
+        script = cluster.job_script()
+    for line in ("-p night", "-t 02:00:00", "--account=concrete", "--cpus-per-task=8"):
+        assert f"#SBATCH {line}" in script
+    assert "--nworkers 8" in script and "--nthreads 1" in script and "gres" not in script
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [(("moon", None), "scheduler = 'moon': must be local, slurm or an address"), ((None, 2), "workers = 2"),
+     (("local", 0), "workers = 0"), (("tcp://node1:8786", 2), "workers = 2: are those that 'tcp://node1:8786' has"),
+     (("local", 2, 2), "processes = 2")],
+)  # fmt: skip
+def test_what_it_refuses(given, text):
+    with pytest.raises(SceneError, match=text):
+        check_scheduler(*given)
+
+
+def test_what_cannot_be_reached_or_is_not_there_leaves_nothing(tmp_path, monkeypatch):
+    out = tmp_path / "study"
+    monkeypatch.setattr("warpcrete.studies.cluster.CONNECT", 0.5)
+    with pytest.raises(WarpcreteError, match=r"scheduler = 'tcp://127\.0\.0\.1:9': does not answer"):
+        run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="tcp://127.0.0.1:9")
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    with pytest.raises(WarpcreteError, match=r"needs the package dask_jobqueue; pip install 'warpcrete\[cluster\]'"):
+        run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")
+    assert not out.exists()
