@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-import trimesh
-
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
@@ -107,6 +105,8 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
     """Upright bars in the half that is computed, the one in the middle whole."""
+    import trimesh  # half a second, which other scenes need not wait for
+
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2
     for n in range(math.ceil(given.bars / 2)):

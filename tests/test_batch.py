@@ -135,12 +135,14 @@ def test_an_interruption_of_one_scene_ends_all(device):
     assert all(0 < len(run.series["time"]) <= 4 for run in runs)
 
 
-def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path):
+def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
     """Pairs that stood at both spheres of two chunks must not count twice where there is one chunk."""
+    monkeypatch.setattr("warpcrete.dem.batch.PER_THREAD", 16)
     paths = []
     for seed in (0, 1):
         simulation = Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu", threads=2)
         simulation.prepare()
+        assert simulation.stepper.batch.threads == 2
         paths.append(tmp_path / f"{seed}.npz")
         simulation.save(paths[-1])
     some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]

@@ -14,7 +14,7 @@ from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
-from warpcrete.core.launching import Stage, block_size, bound, graph_sizes, tasks_of
+from warpcrete.core.launching import Stage, block_size, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.model import build_model
@@ -84,7 +84,7 @@ def test_stages_of_any_dimension_are_recorded(like_a_gpu):
     assert any(isinstance(stage.dim, tuple) for stage in stages)
     for stage in stages:
         assert stage.block in (64, 256) and stage.name in stage.kernel.key
-        stage.load()
+        load([stage], stage.device)
         stage.record()
 
 

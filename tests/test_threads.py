@@ -12,6 +12,7 @@ from warpcrete.core import cores
 from warpcrete.core.cores import Crowding
 from warpcrete.core.device import find_device
 from warpcrete.core.errors import SceneError
+from warpcrete.dem import batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.clumps import ClumpTemplate
 from warpcrete.dem.model import build_model
@@ -23,6 +24,11 @@ from warpcrete.dem.stepper import Stepper
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
 )
+
+
+@pytest.fixture(autouse=True)
+def threads_of_few_spheres(monkeypatch):
+    monkeypatch.setattr(batch, "PER_THREAD", 16)
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +130,19 @@ def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):
     single = alone.run()
     plateau = single.result["plateau_pressure"]["value"]
     assert plateau == pytest.approx(uncut.result["plateau_pressure"]["value"], rel=0.02)
+
+
+def test_few_spheres_are_the_work_of_one_thread(monkeypatch, packing):
+    """Waiting for one another would take longer than what they do."""
+    monkeypatch.undo()
+    simulation = Simulation(scenes.pipe(**SMALL), device="cpu", threads=2)
+    simulation.prepare()
+    assert simulation.stepper.batch.threads == 1 and 32 < simulation.state.sphere_count < 500
+    fill, table = packing
+    model = build_model(flowing_scene(fill), find_device("cpu"), "float64")
+    state = State(model, table)
+    monkeypatch.setattr(batch, "PER_THREAD", state.sphere_count // 3)
+    assert Stepper(model, state, TimeStep(fixed=2e-5), threads=2).batch.threads == 2
 
 
 def test_senseless_numbers_of_threads_are_refused():

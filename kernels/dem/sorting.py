@@ -32,13 +32,6 @@ def permute_kernel(dtype, columns: bool):
 
 
 @wp.kernel(enable_backward=False)
-def iota(target: wp.array(dtype=wp.int32)):
-    """target[i] = i"""
-    i = wp.tid()
-    target[i] = i
-
-
-@wp.kernel(enable_backward=False)
 def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
     """inverse[order[i]] = i"""
     i = wp.tid()

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import functools
 import math
+import os
+import threading
 import time
 import weakref
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
+import warp
 import warp as wp
 
 from ..kernels.common.barrier import GATE, barrier
@@ -23,6 +26,8 @@ from .interrupts import put_off
 
 COMPILING = 16
 """Kernels that are compiled at once, at most."""
+DEFAULT_BLOCK = 256
+"""Threads of a CUDA block where a launch does not say."""
 Size = int | tuple[int, ...]
 """Tasks of a launch, in one dimension or several."""
 
@@ -84,15 +89,6 @@ class Stage:
         """The kernel function's."""
         return self.kernel.func.__name__
 
-    @property
-    def plain(self) -> bool:
-        """The kernel is compiled with the flags of most."""
-        return not self.kernel.module.options.get("cpu_compiler_flags")
-
-    def load(self) -> None:
-        """Compile the kernel, or read it from the cache."""
-        wp.load_module(self.kernel.module, device=self.device, block_dim=self.block)
-
     def record(self) -> None:
         """Make ready, kernel loaded; nothing runs."""
         if self._command is None and tasks_of(self.dim):
@@ -107,27 +103,29 @@ class Stage:
             self._command.launch()
 
 
-def load(stages: list[Any]) -> None:
-    """Compile the kernels of stages, several at once, or read them from the cache.
-
-    A thread keeps the headers that it has compiled, which takes longer than most kernels: this one, which has those of
-    plain kernels, begins with these, the others with kernels that have flags of their own.
+def load(stages: Iterable[Any], device: Any) -> None:
+    """Compile kernels, several at once, or read them from the cache: those of stages, and kernels that are launched
+    without one.
     """
-    wanted: dict[tuple[int, int], Stage] = {}
+    wanted: dict[tuple[int, int], tuple[Any, int]] = {}
     for stage in stages:
-        if isinstance(stage, Stage):
-            wanted[id(stage.kernel.module), stage.block] = stage
-        else:
-            stage.load()
-    left = deque(sorted(wanted.values(), key=lambda stage: stage.plain))
+        # A kernel alone is launched in blocks of Warp's own size.
+        kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
+        block = block if parallel(device) else 1
+        wanted[id(kernel.module), block] = kernel.module, block
+    # This thread begins with modules of plain flags, the others with the rest.
+    left = deque(sorted(wanted.values(), key=lambda each: not _flags(each[0])))
+    home = threading.get_ident()
+    _headers_folder()  # that the others are to have
 
-    def work(take: Callable[[], Stage]) -> None:
+    def work(take: Callable[[], tuple[Any, int]]) -> None:
+        _share_headers(home)
         while True:
             try:
-                stage = take()
+                module, block = take()
             except IndexError:
                 return
-            stage.load()
+            _load(module, device, block)
 
     others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
     try:
@@ -143,6 +141,52 @@ def load(stages: list[Any]) -> None:
 def _compilers() -> ThreadPoolExecutor:
     """Threads that stay."""
     return ThreadPoolExecutor(COMPILING)
+
+
+def _flags(module: Any) -> str:
+    """A module's own flags for a CPU's compiler."""
+    return module.options.get("cpu_compiler_flags") or ""
+
+
+_headers: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
+_compiled_headers: set[str] = set()
+"""Flags with which headers have been compiled."""
+
+
+def _load(module: Any, device: Any, block: int) -> None:
+    """Compile a module; on a CPU, as long as its flags have no compiled headers, no two with the same flags at once."""
+    flags, folder = _flags(module), _headers_folder()
+    if parallel(device) or flags in _compiled_headers or folder is None:
+        wp.load_module(module, device=device, block_dim=block)
+        return
+    with _headers[flags]:
+        before = set(os.listdir(folder))
+        wp.load_module(module, device=device, block_dim=block)
+        if set(os.listdir(folder)) - before:
+            _compiled_headers.add(flags)
+
+
+def _headers_folder() -> str | None:
+    """Folder of this thread's compiled headers of C++; None where Warp keeps none, or keeps them otherwise."""
+    try:
+        return warp._src.context.runtime._get_or_create_pch_dir()
+    except AttributeError:
+        return None
+
+
+def _share_headers(home: int) -> None:
+    """Let this thread use the compiled headers of another one.
+
+    Warp has a folder for each thread, so that no two write one file, and so each compiles them anew, which takes as
+    long as five kernels; :func:`_load` sees to it that they are written once. Where Warp has changed they stay apart.
+    """
+    try:
+        runtime = warp._src.context.runtime
+        with runtime._pch_dirs_lock:
+            if home in runtime._pch_dirs:
+                runtime._pch_dirs[threading.get_ident()] = runtime._pch_dirs[home]
+    except AttributeError:
+        pass
 
 
 Step = list[list[Any]]
@@ -245,7 +289,7 @@ class Launcher:
             one.result()
 
     def _capture(self, step: Step, size: int) -> list[Any]:
-        load([stage for part in step for stage in part])
+        load((stage for part in step for stage in part), self.device)
         graphs = []
         for part in step:
             with wp.ScopedCapture(device=self.device) as capture:

@@ -27,8 +27,10 @@ from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
-LARGEST_GRAPH = {"cpu": 8, "cuda": 64}
+LARGEST_GRAPH = {"cpu": 2, "cuda": 64}
 """Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
+PER_THREAD = 500
+"""Spheres from which on a thread of a CPU is worth its waiting for the others: two are even with one at a thousand."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
 BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
 
@@ -41,7 +43,8 @@ def batch_key(model: Model) -> tuple:
 class Batch:
     """Scenes with the same features on one device; the arrays of `states[s]` become slices of the joint ones.
 
-    `threads` (CPU only, one scene only) splits every stage into as many chunks of neighbouring bodies.
+    `threads` (CPU only, one scene only) splits every stage into as many chunks of neighbouring bodies; fewer where
+    there are few.
     """
 
     flags: wp.array
@@ -98,7 +101,7 @@ class Batch:
         self.wall_count = sum(len(m.walls) for m in models)
         if self.parallel or self.count > 1:
             threads = 1
-        self.threads = max(1, min(threads, self.body_count // 32))
+        self.threads = max(1, min(threads, self.sphere_count // PER_THREAD))
         self.structs = array_structs(self.scalar)
         self.capacity = np.array([len(s.pairs.other) for s in states])
         """Entries that there is room for in the pair arrays, of each scene."""

@@ -15,7 +15,7 @@ from ..kernels.common.control import STALE
 from ..kernels.common.types import types
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
-from ..kernels.dem.sorting import invert, iota, order_kernels, permute_kernel
+from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
 from .batch import MAXIMUM_ENTRIES, Batch
 from .stages import MANY, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
@@ -81,7 +81,8 @@ class NeighborLists:
         self._shares = zeros(n * self._searchers if self._searchers > 1 else 0)
         self._boxes = zeros((batch.threads, 2), t.vec3)
         self._total, self._face_total = zeros(scenes), zeros(scenes)
-        self._identity, self._old_place, self._new_place = zeros(n), zeros(n), zeros(n)
+        self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
+        self._old_place, self._new_place = zeros(n), zeros(n)
         self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = zeros(n if f.bonds else 0, batch.scalar)
         # The list before, which the new one takes history from.
@@ -90,7 +91,6 @@ class NeighborLists:
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
         self._recorded: dict[bool, _Launches] = {}
         self._version = -1
-        launch(iota, n, batch.device, target=self._identity)
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is marked stale."""
@@ -142,6 +142,25 @@ class NeighborLists:
         launches.clear_stale()
         b.device_changed()
         b.lists_built()
+
+    def kernels(self) -> list[Any]:
+        """Kernels and stages of all that it launches."""
+        b = self.batch
+        self._keep_old()
+        each = self._record(False)
+        order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
+        moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
+        return [
+            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.transfer, *each.faces,
+            *([] if b.features.half_list else each.count), *([each.stretch] if b.features.bonds else []),
+            invert, *order, *(permute_kernel(*kind) for kind in moved),
+        ]  # fmt: skip
+
+    def _sorted(self, struct: str) -> list[wp.array]:
+        """Arrays of a struct whose rows a re-sorting moves."""
+        names = getattr(self.batch.structs, struct.capitalize()).vars
+        arrays = [getattr(getattr(self.batch, struct), name) for name in names if name not in SORTED[struct]]
+        return [array for array in arrays if array.size]
 
     def _search(self, sort: bool) -> _Launches:
         """Half lists: search chunk by chunk into buffers, once more where one was too short."""
@@ -275,12 +294,9 @@ class NeighborLists:
             new_start=start, bodies=b.bodies, spheres=b.spheres, old_place=self._old_place,
         )  # fmt: skip
         launch(invert, b.sphere_count, device, order=self._old_place, inverse=self._new_place)
-        for struct, stay in SORTED.items():
-            places = order if struct == "bodies" else self._old_place
-            for name in getattr(b.structs, struct.capitalize()).vars:
-                array = getattr(getattr(b, struct), name)
-                if name not in stay and array.size:
-                    _permute(array, places)
+        for struct in SORTED:
+            for array in self._sorted(struct):
+                _permute(array, order if struct == "bodies" else self._old_place)
         b.split()
 
 

@@ -53,6 +53,10 @@ class StableStep:
             stage()
         self.batch.device_changed()
 
+    def kernels(self) -> list[Stage]:
+        """Stages with all that it launches."""
+        return self._stages(0)
+
     def _stages(self, s: int) -> list[Stage]:
         b, f = self.batch, self.batch.features
         own = {"s": s, "estimate": self._estimate}

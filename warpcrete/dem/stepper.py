@@ -15,6 +15,7 @@ from ..kernels.dem.structs import DT_PREVIOUS, TIME
 from ..kernels.dem.wall_motion import SPEED_LIMIT
 from .batch import Batch
 from .bonding import make_bonds, reassign_bonds
+from .loading import load_kernels
 from .model import Model
 from .neighbors import NeighborLists
 from .scene import Bonds, TimeStep
@@ -59,6 +60,7 @@ class Stepper:
         if among is None:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
+            load_kernels(*among[:2])
         self.lists, self._estimate, self.index = among
         self.batch = self.lists.batch
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
@@ -278,6 +280,7 @@ def steppers_of(
     """Steppers of scenes that share one batch; :func:`warpcrete.dem.batch.batch_key` tells which may."""
     batch = Batch(models, states, threads=threads)
     among = NeighborLists(batch), StableStep(batch)
+    load_kernels(*among)
     return [
         Stepper(
             model,

@@ -22,7 +22,7 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 8, "cuda": 16}
+LARGEST_GRAPH = {"cpu": 2, "cuda": 16}
 LAUNCH = 4  # largest graphs from one look at the flags to the next
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 ABREAST = 64

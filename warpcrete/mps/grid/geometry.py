@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 
 from ...geometry.meshes import load_closed, signed_distance
 from ...geometry.walls import MeshWall, PipeWall, PlaneWall
@@ -277,6 +276,8 @@ def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> 
         return lambda x: (x - point) @ normal
     if isinstance(wall, PipeWall):
         return lambda x: wall.radius - np.linalg.norm(x - wall.axis.nearest(x), axis=1)
+    import trimesh
+
     mesh = load_closed(trimesh.Trimesh(wall.vertices, wall.faces, process=False), f"{wall.name}.vertices")
     sign = 1.0 if signed_distance(mesh, within[None])[0] > 0 else -1.0
     return lambda x: sign * signed_distance(mesh, x)

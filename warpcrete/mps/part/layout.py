@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import trimesh
 
 from ...geometry.meshes import enclosed, signed_distance
 from ...kernels.mps.grid.cells import Kind
@@ -77,6 +76,8 @@ def bore_distance(scene: PartScene) -> Distance:
     """Distance of places on the grid from the wall of the bore [m]."""
     frame, axis = Frame(scene), scene.axis
     if scene.wall is not None:
+        import trimesh
+
         wall = scene.wall
         mesh = trimesh.Trimesh(wall.vertices, wall.faces[~_caps(scene)], process=False)
 

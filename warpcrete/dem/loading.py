@@ -1,0 +1,36 @@
+"""Compiles what a batch is going to launch, all at once, before its first launch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..core.launching import load
+from ..kernels.dem import probes
+from ..kernels.dem.bonding import bond_kernels
+from ..kernels.dem.motion import sync_kernel
+from .batch import Batch
+from .neighbors import NeighborLists
+from .stable_step import StableStep
+from .stages import step_stages
+
+
+def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
+    """Compile the kernels of steps, lists, estimates, samples and bonds, or read them from the cache."""
+    batch = lists.batch
+    if batch.sphere_count:
+        steps = [stage for part in step_stages(batch) for stage in part]
+        load([*steps, *lists.kernels(), *estimate.kernels(), *_others(batch)], batch.device)
+
+
+def _others(batch: Batch) -> list[Any]:
+    """Kernels that are launched now and then."""
+    f, scalar = batch.features, batch.scalar
+    found = [
+        probes.body_probe(scalar),
+        probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
+        *probes.column_kernels(probes.BODY_MAXIMA),
+        *probes.column_kernels(probes.CONTACT_MAXIMA),
+    ]
+    if f.bonds:
+        found += bond_kernels(scalar)
+    return found if f.clumps else [*found, batch.stage(sync_kernel(scalar), batch.sphere_count)]
