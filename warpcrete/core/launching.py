@@ -12,8 +12,10 @@ import threading
 import time
 import weakref
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import warp
@@ -26,6 +28,8 @@ from .interrupts import put_off
 
 COMPILING = 16
 """Kernels that are compiled at once, at most."""
+PATIENCE = 0.5
+"""Time of compiling that nobody is told of [s]."""
 DEFAULT_BLOCK = 256
 """Threads of a CUDA block where a launch does not say."""
 Size = int | tuple[int, ...]
@@ -103,6 +107,19 @@ class Stage:
             self._command.launch()
 
 
+_told: ContextVar[Callable[[str, float], None] | None] = ContextVar("told", default=None)
+
+
+@contextmanager
+def telling(tell: Callable[[str, float], None]) -> Iterator[None]:
+    """Have `tell` called with "compiling" and the fraction done where that takes a while."""
+    token = _told.set(tell)
+    try:
+        yield
+    finally:
+        _told.reset(token)
+
+
 def load(stages: Iterable[Any], device: Any) -> None:
     """Compile kernels, several at once, or read them from the cache: those of stages, and kernels that are launched
     without one.
@@ -115,10 +132,11 @@ def load(stages: Iterable[Any], device: Any) -> None:
         wanted[id(kernel.module), block] = kernel.module, block
     # This thread begins with modules of plain flags, the others with the rest.
     left = deque(sorted(wanted.values(), key=lambda each: not _flags(each[0])))
-    home = threading.get_ident()
+    home, begun, count, told = threading.get_ident(), time.monotonic(), len(left), False
     _headers_folder()  # that the others are to have
 
     def work(take: Callable[[], tuple[Any, int]]) -> None:
+        nonlocal told
         _share_headers(home)
         while True:
             try:
@@ -126,6 +144,9 @@ def load(stages: Iterable[Any], device: Any) -> None:
             except IndexError:
                 return
             _load(module, device, block)
+            if (tell := _told.get()) is not None and time.monotonic() - begun > PATIENCE:
+                told = True
+                tell("compiling", 1.0 - len(left) / count)
 
     others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
     try:
@@ -135,6 +156,8 @@ def load(stages: Iterable[Any], device: Any) -> None:
         wait(others)
     for other in others:
         other.result()
+    if told and (tell := _told.get()) is not None:
+        tell("compiling", 1.0)
 
 
 @functools.cache
@@ -169,7 +192,7 @@ def _load(module: Any, device: Any, block: int) -> None:
 def _headers_folder() -> str | None:
     """Folder of this thread's compiled headers of C++; None where Warp keeps none, or keeps them otherwise."""
     try:
-        return warp._src.context.runtime._get_or_create_pch_dir()
+        return warp._src.context.runtime._get_or_create_pch_dir()  # pyright: ignore[reportAttributeAccessIssue]
     except AttributeError:
         return None
 
@@ -181,7 +204,7 @@ def _share_headers(home: int) -> None:
     long as five kernels; :func:`_load` sees to it that they are written once. Where Warp has changed they stay apart.
     """
     try:
-        runtime = warp._src.context.runtime
+        runtime = warp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
         with runtime._pch_dirs_lock:
             if home in runtime._pch_dirs:
                 runtime._pch_dirs[threading.get_ident()] = runtime._pch_dirs[home]

@@ -19,6 +19,7 @@ from . import checkpoint
 from .device import checked_threads, find_device, scalar_of
 from .display import Display
 from .errors import RunFolderError, WarpcreteError, between, positive, refuse
+from .launching import telling
 from .progress import ProgressBar
 
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -288,9 +289,10 @@ class Simulation:
         """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
         if self._ran:
             raise WarpcreteError("this simulation has run; make a new Simulation for another run")
-        if not self.prepared:
-            self.prepare()
-        return drive_alone(self.running(), self.stepper.advance)
+        with telling(self.tell):
+            if not self.prepared:
+                self.prepare()
+            return drive_alone(self.running(), self.stepper.advance)
 
     def running(self) -> Coroutine:
         """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
