@@ -1,9 +1,13 @@
 """What recordings and scenes hold, read back with the libraries that made them, against the state that was recorded."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.later import MOST, Later
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem import clumps
 from warpcrete.dem.scene import Bodies, Scene
@@ -33,8 +37,13 @@ class Kept(Recorder):
         self.rows.append(row)
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recording(patch, beside):
+    """Recorders work beside the run, or in it."""
+    patch.setattr(Later, "of", classmethod(lambda cls, simulation: cls(beside)))
+
+
+@pytest.fixture(scope="module", params=["beside the run", "in the run"])
+def recorded(request, tmp_path_factory):
     """Spinning clumps of two shapes that fly apart, beside a paddle that turns: every quaternion differs."""
     folder = tmp_path_factory.mktemp("recorded")
     shapes = clumps.reference()[:2]
@@ -63,7 +72,9 @@ def recorded(tmp_path_factory):
     )  # fmt: skip
     kept = Kept()
     recorders = [kept, RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc")]
-    run = Simulation(scene, device="cpu", recorders=recorders, frame_interval=INTERVAL).run()
+    with pytest.MonkeyPatch.context() as patch:
+        recording(patch, request.param == "beside the run")
+        run = Simulation(scene, device="cpu", recorders=recorders, frame_interval=INTERVAL).run()
     assert run.finished and len(kept.times) == 7
     return folder, kept
 
@@ -113,8 +124,8 @@ def test_usd_moves_walls_as_they_move(recorded):
     folder, kept = recorded
     stage = Usd.Stage.Open(str(folder / "scene.usdc"))
     paddle = UsdGeom.Xformable(stage.GetPrimAtPath("/Run/Walls/paddle"))
-    for time, (position, turn) in zip(kept.times, kept.poses):
-        matrix = paddle.GetLocalTransformation(time * stage.GetTimeCodesPerSecond())
+    for when, (position, turn) in zip(kept.times, kept.poses):
+        matrix = paddle.GetLocalTransformation(when * stage.GetTimeCodesPerSecond())
         assert np.array(matrix.ExtractTranslation()) == pytest.approx(position, abs=1e-6)
         for axis in np.eye(3):
             ours = rotate(turn[None], axis[None])[0]
@@ -176,3 +187,111 @@ def test_rerun_shows_pressures_in_kilopascals(tmp_path, method):
         (scalars,) = [value for key, value in found.items() if "scalars" in key.lower()]
         assert np.ravel(scalars) == pytest.approx([factor * row[name] for row in kept], nan_ok=True), entity
         assert np.nanmax([abs(row[name]) for row in kept]) > 0
+
+
+SMALL = dict(diameter=0.08, length=0.1, ramp=0.0, travel=0.008, settle=0.0, size_min=8e-3, size_max=16e-3, plug="plate")
+PASTE = dict(concrete="own", density=2300.0, viscosity=20.0, yield_stress=100.0)
+DRAWN = {
+    "pipe": (lambda: scenes.pipe(shapes="reference", hydration=0.5, hydration_modulus=1e6, **SMALL), "speed", True),
+    "pipe, force": (lambda: scenes.pipe(**SMALL), "force", False),
+    "pipe, size": (lambda: scenes.pipe(**SMALL), "size", False),
+    "channel": (lambda: scenes.channel(spacing=2e-2, duration=0.01, sample_interval=2e-3), "pressure", False),
+    "grains": (lambda: scenes.channel(spacing=5e-3, duration=5e-3, sample_interval=1e-3, aggregates=True), "phase",
+               False),
+    "ring": (lambda: scenes.tube(ends="periodic", spacing=1e-2, duration=0.01, sample_interval=2e-3), "speed", False),
+    "slump": (lambda: scenes.slump(**PASTE, spacing=0.02, duration=0.05, sample_interval=0.01), "shear", False),
+    "funnel": (lambda: scenes.funnel(**PASTE, spacing=0.015, duration=0.02, sample_interval=5e-3), "speed", False),
+    "part": (lambda: scenes.modules()["part"].scene(concrete="no1", unit="bend-to-vertical", spacing=0.0125,
+                                                    duration=0.02, sample_interval=5e-3), "pressure", False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypatch):
+    """Every display takes all that it draws of a moment: a recorder that lags shows the same."""
+    make, colouring, network = DRAWN[name]
+    found = []
+    for beside in (False, True):
+        recording(monkeypatch, beside)
+        folder = tmp_path / str(beside)
+        folder.mkdir()
+        recorders = [RerunRecorder(folder / "run.rrd", colouring=colouring, network=network),
+                     UsdRecorder(folder / "scene.usdc", colouring=colouring)]  # fmt: skip
+        if beside:
+            for recorder in recorders:
+                lag(recorder, monkeypatch)
+        run = Simulation(make(), device=device, threads=1, recorders=recorders, frame_interval=1e-4).run()
+        found.append((run.result["state_hash"], contents(folder, run)))
+    assert found[0] == found[1]
+    assert len(next(iter(found[0][1].values()))) > 3
+
+
+def lag(recorder, monkeypatch):
+    """Let a recorder draw when the run is further on."""
+    draw = recorder._draw
+
+    def slowly(*moment):
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(0.02)
+        draw(*moment)
+
+    monkeypatch.setattr(recorder, "_draw", slowly)
+
+
+def contents(folder, run):
+    """All that recordings hold of bodies, walls, networks and curves, as text."""
+    from pxr import Usd
+    from rerun.chunk import RrdReader
+
+    entities = {str(c.entity_path) for c in RrdReader(str(folder / "run.rrd")).stream().to_chunks() if not c.is_static}
+    found = {}
+    for entity in sorted(entities):
+        if entity.startswith(("/scene", "/pressure", "/shape", "/slip", "/energy", "/friction")):
+            held = columns(folder / "run.rrd", entity)
+            found |= {f"{entity} {column}": [str(v) for v in values] for column, values in held.items()}
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    for prim in stage.Traverse():
+        for attribute in prim.GetAttributes():
+            codes = attribute.GetTimeSamples()
+            if codes:
+                found[str(attribute.GetPath())] = [(code, str(attribute.Get(code))) for code in codes]
+    return found
+
+
+def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
+    done, go, waited = [], threading.Event(), threading.Event()
+    later = Later(beside=True)
+
+    def fill():
+        for number in range(MOST + 3):
+            later.do(lambda number=number: (go.wait(), done.append(number)))
+        waited.set()
+
+    run = threading.Thread(target=fill)
+    run.start()
+    assert not waited.wait(0.2) and not done  # one is at work, so many wait, and the run with the next
+    go.set()
+    run.join(5)
+    later.wait()
+    assert done == list(range(MOST + 3))
+    later.close()
+
+
+@pytest.mark.parametrize("end", ["do", "wait", "close"])
+def test_what_a_job_fails_with_is_raised_once_by_what_comes_next(end):
+    done = []
+
+    def fail():
+        raise OSError("no room")
+
+    later = Later(beside=True)
+    later.do(lambda: done.append(1))
+    later.do(fail)
+    with pytest.raises(OSError, match="no room"):
+        for _ in range(10):
+            getattr(later, end)(*([lambda: done.append(2)] if end == "do" else []))
+            time.sleep(0.05)
+    later.close()
+    assert done == [1]
+    with pytest.raises(OSError, match="no room"):
+        Later(beside=False).do(fail)

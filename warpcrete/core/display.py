@@ -6,11 +6,13 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
 from .errors import one_of
+from .later import Later
 
 Colour = tuple[int, int, int, int]
 """Red, green, blue and opacity, 0 to 255."""
@@ -90,6 +92,16 @@ class Plot:
     curves: tuple[Curve, ...]
 
 
+@dataclass(frozen=True)
+class Moment:
+    """What a display draws, taken from a run that goes on."""
+
+    time: float
+    """[s]"""
+    found: dict[str, Any]
+    """By the name that the display reads it by."""
+
+
 class Display(ABC):
     """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`; None: what shows most."""
 
@@ -103,6 +115,47 @@ class Display(ABC):
         self.simulation = simulation
         self.colouring = self.preferred if colouring is None else colouring
         one_of("colour", self.colouring, self.colourings)
+        self._sources: dict[str, Callable[[], Any]] = {}
+        self._taken: Moment | None = None
+        self._complete = False
+
+    def read(self, path: str) -> np.ndarray:
+        """An array of the state by its path, such as "bodies.velocity", at the moment that is drawn."""
+        return self.once(path, lambda: attrgetter(path)(self.simulation.state).numpy().copy())
+
+    def once(self, name: str, source: Callable[[], Any]) -> Any:
+        """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now."""
+        if self._taken is not None:
+            return self._taken.found[name]
+        self._sources[name] = source
+        return source()
+
+    @property
+    def time(self) -> float:
+        """Simulated time that is drawn [s]."""
+        return self.simulation.stepper.time if self._taken is None else self._taken.time
+
+    def draw(self, later: Later, job: Callable[[float, int], None]) -> None:
+        """Have a job draw the state as it is now, of which it is given time [s] and steps.
+
+        The first one is done at once, and shows what is to be read; of later ones that is read now.
+        """
+        time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
+        if not later.beside or not self._complete:
+            later.wait()
+            job(time, steps)
+            self._complete = True
+            return
+        moment = Moment(time, {name: source() for name, source in self._sources.items()})
+
+        def drawn() -> None:
+            self._taken = moment
+            try:
+                job(time, steps)
+            finally:
+                self._taken = None
+
+        later.do(drawn)
 
     @property
     def preferred(self) -> str:

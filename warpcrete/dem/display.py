@@ -54,34 +54,34 @@ class ElementDisplay(Display):
         return 0.05 * scene.contact.stress_scale * largest**2
 
     def _sphere_order(self) -> np.ndarray:
-        return np.argsort(self.simulation.state.spheres.id.numpy())
+        return np.argsort(self.read("spheres.id"))
 
     def _body_order(self) -> np.ndarray:
-        return np.argsort(self.simulation.state.bodies.id.numpy())
+        return np.argsort(self.read("bodies.id"))
 
     def radii(self) -> np.ndarray:
         """Of all spheres [m], in order of permanent numbers, shape (n,)."""
-        return self.simulation.state.spheres.position.numpy()[self._sphere_order(), 3]
+        return self.read("spheres.position")[self._sphere_order(), 3]
 
     def centres(self) -> np.ndarray:
         """Of all spheres [m], likewise, shape (n, 3)."""
-        return self.simulation.state.spheres.position.numpy()[self._sphere_order(), :3]
+        return self.read("spheres.position")[self._sphere_order(), :3]
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all spheres, each as its body, shape (n, 3)."""
-        state = self.simulation.state
-        body = state.bodies.id.numpy()[state.spheres.body.numpy()[self._sphere_order()]]
+        body = self.read("bodies.id")[self.read("spheres.body")[self._sphere_order()]]
         return self.body_colours()[body]
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""
-        state, order = self.simulation.state, self._body_order()
+        order = self._body_order()
         if self.colouring == "size":
-            values = state.bodies.size.numpy()[order].astype(float)
+            values = self.read("bodies.size")[order].astype(float)
         elif self.colouring == "speed":
-            values = np.linalg.norm(state.bodies.velocity.numpy()[order].astype(float), axis=1)
+            values = np.linalg.norm(self.read("bodies.velocity")[order].astype(float), axis=1)
         else:
-            values = largest_forces(self.simulation.model, state)[order]
+            model, state = self.simulation.model, self.simulation.state
+            values = self.once("largest forces", lambda: largest_forces(model, state))[order]
         return on_palette(values, self._upper)
 
     def plots(self) -> tuple[Plot, ...]:
@@ -104,10 +104,10 @@ class ElementDisplay(Display):
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
-        walls, number = self.simulation.state.walls, self._drawn[number]
+        number = self._drawn[number]
         return (
-            walls.position.numpy().reshape(-1, 3)[number].astype(float),
-            walls.orientation.numpy().reshape(-1, 4)[number].astype(float),
+            self.read("walls.position").reshape(-1, 3)[number].astype(float),
+            self.read("walls.orientation").reshape(-1, 4)[number].astype(float),
         )
 
     def rigid_bodies(self) -> RigidBodies:
@@ -118,19 +118,18 @@ class ElementDisplay(Display):
 
     def pose(self) -> Pose:
         """Where rigid bodies are."""
-        bodies, order = self.simulation.state.bodies, self._body_order()
-        return Pose(bodies.position.numpy()[order], bodies.orientation.numpy()[order], bodies.velocity.numpy()[order])
+        order = self._body_order()
+        return Pose(*(self.read(f"bodies.{name}")[order] for name in ("position", "orientation", "velocity")))
 
     def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
         """Touching pairs that are not bonded, and bonds."""
-        state = self.simulation.state
-        i, j, place = listed_pairs(state)
-        position = state.spheres.position.numpy()
+        i, j, place = self.once("listed pairs", lambda: listed_pairs(self.simulation.state))
+        position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
         touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
         bonded = np.zeros_like(touching)
         if self.simulation.model.features.bonds:
-            bonded = state.pairs.bond.numpy()[place] > 0
+            bonded = self.read("pairs.bond")[place] > 0
 
         def lines(chosen: np.ndarray) -> np.ndarray:
             return np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
@@ -143,7 +142,7 @@ class ElementDisplay(Display):
         if pipe is not None:
             points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))
             return np.stack([points.min(0), points.max(0)])
-        position = self.simulation.state.spheres.position.numpy().astype(float)
+        position = self.read("spheres.position").astype(float)
         if len(position) == 0:
             return np.zeros((2, 3))
         return np.stack([(position[:, :3] - position[:, 3:]).min(0), (position[:, :3] + position[:, 3:]).max(0)])

@@ -47,8 +47,8 @@ class FlowDisplay(Display):
 
     def centres(self) -> np.ndarray:
         """Particles in the room [m], shape (n, 3): z up, a channel in the plane of x and z."""
-        x = self.simulation.state.particles.position.numpy().astype(float)
-        x[:, -1] += self.simulation.scene.velocity * self.simulation.stepper.time
+        x = self.read("particles.position").astype(float)
+        x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
         if x.shape[1] == 2:  # of a grid about the axis: each at an angle of its own
@@ -68,7 +68,7 @@ class FlowDisplay(Display):
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all particles, shape (n, 3)."""
-        snap = Snapshot.of(self.simulation.flow)
+        snap = self.once("particles", lambda: Snapshot.of(self.simulation.flow))
         scale = self.scale()
         if scale is not None:
             _, lower, upper = scale

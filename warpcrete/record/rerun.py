@@ -12,6 +12,7 @@ from typing import Any
 from ..core.display import Display
 from ..core.errors import RunFolderError, refuse
 from ..core.files import cannot_write
+from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 
 FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
@@ -34,6 +35,7 @@ class RerunRecorder(Recorder):
     ) -> None:
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._recording: Any = None
+        self._later = Later(beside=False)
         self._display: Display | None = None
         import rerun as rr
 
@@ -46,7 +48,7 @@ class RerunRecorder(Recorder):
 
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
-        display = simulation.display(self.colouring)
+        display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(display))
         self._describe(display)
 
@@ -58,13 +60,14 @@ class RerunRecorder(Recorder):
                     raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
             for path in self._later_parts(state["parts"]):
                 path.unlink()
-        display = simulation.display(self.colouring)
+        display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, state["recording_id"], state["parts"], self._blueprint(display) if self.live else None)
         if self.live:
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
         """Close the part and open the next."""
+        self._later.wait()
         if self.path is not None:
             self._flush()
             self._parts += 1
@@ -74,18 +77,28 @@ class RerunRecorder(Recorder):
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Curves at one row."""
         assert self._display is not None
-        self._set_time(simulation)
-        for plot in self._display.plots():
-            for curve in plot.curves:
-                value = curve.value(row)
+        time, steps = simulation.stepper.time, simulation.stepper.steps
+        values = {
+            f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
+        }
+
+        def log() -> None:
+            self._set_time(time, steps)
+            for path, value in values.items():
                 if value is not None:
-                    self._log(f"{plot.path}/{curve.name}", self._rr.Scalars(value))
+                    self._log(path, self._rr.Scalars(value))
+
+        self._later.do(log)
 
     def frame(self, simulation: Simulation) -> None:
         """Bodies, moving walls and, if asked for, the network."""
+        assert self._display is not None
+        self._display.draw(self._later, self._draw)
+
+    def _draw(self, time: float, steps: int) -> None:
         rr, display = self._rr, self._display
         assert display is not None
-        self._set_time(simulation)
+        self._set_time(time, steps)
         spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.colours())
         self._log(f"scene/{display.noun}", spheres)
         for number, name in self._moving:
@@ -97,8 +110,11 @@ class RerunRecorder(Recorder):
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
         if self._recording is not None:
-            self._flush()
-            self._recording.disconnect()
+            try:
+                self._later.close()
+                self._flush()
+            finally:
+                self._recording.disconnect()
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Make one file of the parts."""
@@ -133,9 +149,10 @@ class RerunRecorder(Recorder):
         pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
         self._log(f"scene/walls/{name}", pose, static=static)
 
-    def _set_time(self, simulation: Simulation) -> None:
-        self._recording.set_time("time", duration=simulation.stepper.time)
-        self._recording.set_time("step", sequence=simulation.stepper.steps)
+    def _set_time(self, time: float, steps: int) -> None:
+        """Of what this thread logs."""
+        self._recording.set_time("time", duration=time)
+        self._recording.set_time("step", sequence=steps)
 
     def _blueprint(self, display: Display) -> Any:
         import rerun.blueprint as rrb

@@ -16,6 +16,7 @@ import numpy as np
 from ..core.display import Display, DrawnWall, RigidBodies
 from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file
+from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 
 FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
@@ -60,7 +61,7 @@ class UsdRecorder(Recorder):
         """Everything that does not change; on a stage that has it already, the same again."""
         from pxr import UsdGeom
 
-        self._stage = stage
+        self._stage, self._later = stage, Later.of(simulation)
         self._display = display = simulation.display(self.colouring)
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -111,9 +112,12 @@ class UsdRecorder(Recorder):
 
     def frame(self, simulation: Simulation) -> None:
         """One time sample of all bodies and moving walls."""
+        self._display.draw(self._later, self._draw)
+
+    def _draw(self, time: float, steps: int) -> None:
         from pxr import Usd
 
-        code = Usd.TimeCode(simulation.stepper.time * FRAMES_PER_SECOND)
+        code = Usd.TimeCode(time * FRAMES_PER_SECOND)
         self._first = code.GetValue() if self._first is None else self._first
         self._last = code.GetValue()
         self._bodies.frame(self._display, code)
@@ -131,10 +135,14 @@ class UsdRecorder(Recorder):
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Write the file."""
         if self._stage is not None:
-            self._write()
+            try:
+                self._later.close()
+            finally:  # what there is
+                self._write()
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
         """Write the file as it is so far."""
+        self._later.wait()
         self._write()
         return {"first": self._first, "last": self._last}
 

@@ -76,12 +76,12 @@ class FreeDisplay(Display):
 
     def centres(self) -> np.ndarray:
         """Particles in the room [m], shape (n, 3): z up, the section in the plane of x and z."""
-        x = self.simulation.state.particles.position.numpy().astype(float)
+        x = self.read("particles.position").astype(float)
         particles, angles = self._chosen
         x = x[particles]
         if self._solid:
             # What has left lies below the room, where nobody looks.
-            gone = self.simulation.state.particles.mass.numpy()[particles] == 0
+            gone = self.read("particles.mass")[particles] == 0
             x[gone] = [0.0, 0.0, -0.5]
             return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
@@ -98,13 +98,13 @@ class FreeDisplay(Display):
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all that is drawn, shape (n, 3)."""
-        found, state = self._chosen[0], self.simulation.state
+        found = self._chosen[0]
         if self.colouring == "pressure":
-            values = state.particles.pressure.numpy().astype(float) / 1e3
+            values = self.read("particles.pressure").astype(float) / 1e3
         elif self.colouring == "speed":
-            values = np.linalg.norm(state.particles.velocity.numpy().astype(float), axis=1)
+            values = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         else:
-            slope = state.particles.gradient.numpy().astype(float)
+            slope = self.read("particles.gradient").astype(float)
             values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         _, lower, upper = self.scale()
         copies = len(self._mirrored) if self._solid else 1
@@ -170,7 +170,7 @@ class FreeDisplay(Display):
         """Position [m] (3,) and orientation of a drawn wall now."""
         lift = 0.0
         if self.walls()[number].moves:
-            lift = self.simulation.scene.lift_speed * self.simulation.stepper.time
+            lift = self.simulation.scene.lift_speed * self.time
         return np.array([0.0, 0.0, lift]), np.array([0.0, 0.0, 0.0, 1.0])
 
     def bounds(self) -> np.ndarray:

@@ -45,7 +45,7 @@ class PartDisplay(Display):
 
     def centres(self) -> np.ndarray:
         """Particles in the room [m], shape (n, 3)."""
-        x = self.simulation.state.particles.position.numpy().astype(float)[self._chosen]
+        x = self.read("particles.position").astype(float)[self._chosen]
         frame = Frame(self._scene)
         return np.concatenate([frame.outward(x * [1.0, sign, 1.0]) for sign in self._images])
 
@@ -60,13 +60,12 @@ class PartDisplay(Display):
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all that is drawn, shape (n, 3)."""
-        particles = self.simulation.state.particles
         if self.colouring == "pressure":
-            values = particles.pressure.numpy().astype(float) / 1e3
+            values = self.read("particles.pressure").astype(float) / 1e3
         elif self.colouring == "speed":
-            values = np.linalg.norm(particles.velocity.numpy().astype(float), axis=1)
+            values = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         else:
-            slope = particles.gradient.numpy().astype(float)
+            slope = self.read("particles.gradient").astype(float)
             values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         _, lower, upper = self.scale()
         return np.tile(on_palette(values[self._chosen], upper, lower), (len(self._images), 1))

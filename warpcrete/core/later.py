@@ -1,0 +1,74 @@
+"""What recorders do beside the run: jobs, in their order, in a thread of their own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from .device import default_threads, parallel
+
+MOST = 8
+"""Jobs that may wait; the run waits when there are more, so that none is lost and memory stays bounded."""
+
+
+class Later:
+    """Does jobs one after the other. What one fails with is raised by the next call, and no other is done then.
+
+    Without `beside` each is done at once, by who asks.
+    """
+
+    def __init__(self, beside: bool) -> None:
+        self.beside = beside
+        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(MOST)
+        self._thread: threading.Thread | None = None
+        self._error: BaseException | None = None
+
+    @classmethod
+    def of(cls, simulation: Any) -> Later:
+        """Beside the run where there is a core for it: threads of a run that wait for one another need theirs."""
+        return cls(parallel(simulation.device) or simulation.threads < default_threads())
+
+    def do(self, job: Callable[[], None]) -> None:
+        """Do a job, or put it in the queue."""
+        self._look()
+        if not self.beside:
+            job()
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+            self._thread.start()
+        self._jobs.put(job)
+
+    def wait(self) -> None:
+        """Until all is done."""
+        self._jobs.join()
+        self._look()
+
+    def close(self) -> None:
+        """Wait, and end the thread."""
+        if self._thread is not None:
+            self._jobs.put(None)
+            self._thread.join()
+            self._thread = None
+        self._look()
+
+    def _look(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _work(self) -> None:
+        failed = False
+        while True:
+            job = self._jobs.get()
+            try:
+                if job is None:
+                    return
+                if not failed:
+                    job()
+            except BaseException as error:
+                self._error, failed = error, True
+            finally:
+                self._jobs.task_done()
