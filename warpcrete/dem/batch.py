@@ -27,8 +27,11 @@ from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
-LARGEST_GRAPH = {"cpu": 2, "cuda": 64}
-"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing."""
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
+"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing, but threads lose each
+other between two."""
+OLD = 256
+"""Steps after which threads have larger graphs captured: chunks may change before."""
 PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: two are even with one at a thousand."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
@@ -117,7 +120,7 @@ class Batch:
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
         """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
-        self._since_build = 0
+        self._since_build = self._since_captured = 0
         self._between_builds = 64
         self.goals = np.zeros(self.count, dtype=int)
         self._flags: np.ndarray | None = None
@@ -314,6 +317,7 @@ class Batch:
     def invalidate_graphs(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""
         self._launcher.invalidate_graphs()
+        self._since_captured = 0
         self.version += 1
         self._step = None
         self._sync = None
@@ -377,12 +381,14 @@ class Batch:
             count = min(count, CPU_LAUNCH)
         before = int(flags[0, int(STEPS)])
         self.device_changed()
-        sizes = graph_sizes(count, LARGEST_GRAPH["cuda" if self.parallel else "cpu"])
+        kind = "cuda" if self.parallel else "threads" if self.threads > 1 and self._since_captured > OLD else "cpu"
+        sizes = graph_sizes(count, LARGEST_GRAPH[kind])
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
         self.sync_bodies()
         flags = self.host_flags().copy()
         self._since_build += int(flags[0, int(STEPS)]) - before
+        self._since_captured += count
         return flags
 
     def _alone(self) -> Step:

@@ -22,7 +22,7 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "cuda": 16}
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
 LAUNCH = 4  # largest graphs from one look at the flags to the next
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 ABREAST = 64
@@ -33,6 +33,8 @@ class Stepping(ABC):
     """A flow that takes steps by replaying graphs of them; steps of constant size unless a subclass knows better."""
 
     scene: Any
+    threads: int
+    """That work on it on a CPU."""
     flags: wp.array
     parallel: bool
     time: float
@@ -97,7 +99,7 @@ class Stepping(ABC):
 
     def launch(self) -> None:
         """Go some of the way; a GPU takes the steps while Python goes on."""
-        largest = LARGEST_GRAPH["cuda" if self.parallel else "cpu"]
+        largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
         sizes = graph_sizes(min(self._left, LAUNCH * largest), largest)
         self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
 
