@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.launching import launch, parameter_names
+from ..core.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
 from ..kernels.dem import probes as column
 from .model import Model
 from .state import State
@@ -69,8 +70,8 @@ def body_sums(model: Model, state: State) -> BodySums:
     if n == 0:
         return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
     values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
-    _launch(state, column.body_probe(model.scalar), n, values=values)
-    total = _summed(state, values, n, column.BODY_MAXIMA)
+    _launch(state, "bodies", lambda: (column.body_probe(model.scalar), n, {"values": values}))
+    total = _summed(state, "bodies", values, n, column.BODY_MAXIMA)
     mass = state.total_mass
     return BodySums(
         kinetic_energy=float(total[column.KINETIC]),
@@ -89,7 +90,7 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
     if state.sphere_count == 0:
         return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0, 0)
     values = _measure_contacts(state)[0]
-    total = _summed(state, values, state.sphere_count, column.CONTACT_MAXIMA)
+    total = _summed(state, "contacts", values, state.sphere_count, column.CONTACT_MAXIMA)
     contacts = int(total[column.CONTACTS])
     return ContactSums(
         contacts=contacts,
@@ -107,24 +108,30 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
     )
 
 
-def _summed(state: State, values: wp.array, rows: int, maxima: tuple[int, ...]) -> np.ndarray:
+def _summed(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> np.ndarray:
     """Sum (or maximum) of every column, added on the device in an order that depends on the number of rows only."""
-    partial, whole = column.column_kernels(maxima)
     columns = values.shape[1]
-    lanes = state.scratch("lanes", (column.LANES, columns), wp.float64)
-    sums = state.scratch("sums", (columns,), wp.float64)
-    device = state.model.device
-    launch(partial, (column.LANES, columns), device, values=values, rows=rows, lanes=lanes)
-    launch(whole, columns, device, lanes=lanes, sums=sums)
+    lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
+    sums = state.scratch(f"{what}, sums", (columns,), wp.float64)
+    partial, whole = column.column_kernels(maxima)
+    given = {"values": values, "rows": rows, "lanes": lanes}
+    _launch(state, f"{what}, lanes", lambda: (partial, (column.LANES, columns), given))
+    _launch(state, f"{what}, sums", lambda: (whole, columns, {"lanes": lanes, "sums": sums}))
     return sums.numpy().copy()
 
 
-def _launch(state: State, kernel: Any, dim: int, **named: Any) -> None:
-    """Launch over one scene of a batch; parameters that are not named are the batch's attributes of their names."""
+def _launch(state: State, what: str, make: Callable[[], tuple[Any, Size, dict[str, Any]]]) -> None:
+    """Launch over one scene of a batch what `make` says: a kernel, its tasks and arguments. Parameters that it does not
+    name are the batch's attributes of their names. Recorded once, until an array of the batch's is another.
+    """
     batch = state.batch
-    given = {"s": state.index, **named}
-    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
-    launch(kernel, dim, batch.device, **bound)
+    stages = state.launches(batch.version)
+    if what not in stages:
+        kernel, dim, named = make()
+        given = {"s": state.index, **named}
+        bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
+        stages[what] = Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
+    stages[what]()
 
 
 def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
@@ -135,9 +142,8 @@ def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
     probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
     base = int(state.batch.rows["spheres"][state.index])
     for first, last in pairwise(state.chunks):
-        _launch(
-            state, probe, last - first, first=base + first, last=base + last, values=values, pair_normal_force=forces
-        )
+        given = {"first": base + first, "last": base + last, "values": values, "pair_normal_force": forces}
+        _launch(state, f"contacts of {first} to {last}", lambda given=given, tasks=last - first: (probe, tasks, given))
     return values, forces
 
 

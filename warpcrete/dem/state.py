@@ -91,6 +91,7 @@ class State:
         self.index = 0
         """The scene's number in it."""
         self._scratch: dict[str, wp.array] = {}
+        self._launches: tuple[int, dict[str, Any]] = -1, {}
         self._make_bodies(table, first, inertia)
         self._make_spheres(table, first, offsets)
         self._make_pairs()
@@ -207,6 +208,12 @@ class State:
         if name not in self._scratch or self._scratch[name].shape != shape:
             self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
+
+    def launches(self, version: int) -> dict[str, Any]:
+        """Recorded launches of probes by name, for arrays of this version of the batch's."""
+        if self._launches[0] != version:
+            self._launches = version, {}
+        return self._launches[1]
 
     @property
     def time(self) -> float:
