@@ -5,16 +5,21 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import dask.config
 import psutil
 import pytest
+from dask.distributed import Scheduler, SpecCluster
 from pumping import wait_until
 from test_study import BASE
 
+from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError, WarpcreteError
-from warpcrete.studies.cluster import check_scheduler, slurm_cluster
-from warpcrete.studies.study import resume_study, run_study
+from warpcrete.dem.simulation import ElementSimulation
+from warpcrete.studies.cluster import LOCAL, check_scheduler, slurm_cluster
+from warpcrete.studies.running import kept, run_cases
+from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
 LONG = BASE | dict(travel=0.3, sample_interval=0.005)
@@ -63,7 +68,7 @@ def test_workers_make_the_same_folders_and_bits(device, tmp_path):
     assert all((study.folder / n / "result.json").stat().st_mtime_ns == t for n, t in kept.items())
 
 
-def test_a_lost_worker_costs_what_came_after_the_last_checkpoint(tmp_path):
+def test_a_lost_worker_loses_no_case(tmp_path):
     out = tmp_path / "study"
     process = begun(out)
     when_running(process, out)
@@ -75,6 +80,30 @@ def test_a_lost_worker_costs_what_came_after_the_last_checkpoint(tmp_path):
     alone = run_study("pipe", pipe_module, {"velocity": [0.3, 0.31]}, base=LONG, out=tmp_path / "alone", device="cpu")
     found = resume_study(out, pipe_module)
     assert len(alone.results) == 2 and hashes(found) == hashes(alone)
+
+
+def test_a_case_that_was_cut_goes_on_from_its_checkpoint(tmp_path, monkeypatch):
+    """As a worker finds it that has the part of a lost one."""
+    case = cases_of(LONG, {}, seeded=True)[0]
+    record = {"device": "cpu", "precision": "float32", "command": {"frames": 25.0, "checkpoint_every": 0.01}}
+    path = tmp_path / case.name / "checkpoint.npz"
+    cut = run_cases(record, pipe_module, tmp_path, [case], path.is_file)[0]
+    assert not cut["finished"] and kept(path.parent) is None and path.is_file()
+    read, restored = ElementSimulation.read_checkpoint, []
+    monkeypatch.setattr(ElementSimulation, "read_checkpoint", lambda self, p: restored.append(p) or read(self, p))
+    done = run_cases(record, pipe_module, tmp_path, [case], lambda: False)[0]
+    assert restored == [path] and kept(path.parent)["state_hash"] == done["state_hash"]
+    alone = Simulation(scenes.pipe(**case.parameters), device="cpu", threads=1).run()
+    assert done["state_hash"] == alone.result["state_hash"]
+
+
+def test_one_case_of_a_part_that_cannot_begin_leaves_the_others(tmp_path):
+    cases = cases_of(BASE, {"velocity": [0.3, 0.6]})
+    (tmp_path / cases[0].name).write_text("in the way of its folder")
+    record = {"device": "cpu", "precision": "float32", "command": {"frames": 25.0, "checkpoint_every": 0.0}}
+    wrong = replace(cases[0], parameters=cases[0].parameters | {"velocity": -1.0})
+    found = run_cases(record, pipe_module, tmp_path, [wrong, cases[1]], lambda: False)
+    assert isinstance(found[0], SceneError) and found[1]["finished"]
 
 
 def test_an_interrupted_study_stops_at_the_next_samples_and_goes_on(tmp_path):
@@ -104,6 +133,14 @@ def test_a_job_of_slurm_is_what_dask_is_told(tmp_path):
     for line in ("-p night", "-t 02:00:00", "--account=concrete", "--cpus-per-task=8"):
         assert f"#SBATCH {line}" in script
     assert "--nworkers 8" in script and "--nthreads 1" in script and "gres" not in script
+    told["job-extra-directives"] = ["--partition=gpu"]
+    with (
+        dask.config.set({"jobqueue.slurm": dask.config.get("jobqueue.slurm") | told}),
+        slurm_cluster("cuda:0") as cluster,
+    ):
+        script = cluster.job_script()
+    assert "#SBATCH --gres=gpu:1" in script and "#SBATCH --cpus-per-task=8" in script
+    assert "--nworkers" not in script and "--nthreads 1" in script  # one worker, whatever cores a job has
 
 
 @pytest.mark.parametrize(
@@ -122,6 +159,14 @@ def test_what_cannot_be_reached_or_is_not_there_leaves_nothing(tmp_path, monkeyp
     monkeypatch.setattr("warpcrete.studies.cluster.CONNECT", 0.5)
     with pytest.raises(WarpcreteError, match=r"scheduler = 'tcp://127\.0\.0\.1:9': does not answer"):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="tcp://127.0.0.1:9")
+    with (
+        SpecCluster(workers={}, scheduler={"cls": Scheduler, "options": LOCAL}) as empty,
+        pytest.raises(WarpcreteError, match="has no workers"),
+    ):
+        run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler=empty.scheduler_address)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(WarpcreteError, match="scheduler = 'slurm': there is no sbatch here"):
+        run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")
     monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
     with pytest.raises(WarpcreteError, match=r"needs the package dask_jobqueue; pip install 'warpcrete\[cluster\]'"):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")

@@ -15,26 +15,26 @@ from warpcrete.dem.stages import step_stages
 @pytest.mark.parametrize("shapes", ["spheres", "reference"])
 def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes, monkeypatch):
     """Each alone would be compiled by one thread while the others wait."""
-    together, apart, done = False, [], warp._src.context.Module.load
-    load_one = launching._load
+    together: set[tuple[int, int]] = set()
+    apart: list[tuple[str, int, int]] = []
+    load_one, load_any = launching._load, warp._src.context.Module.load
 
     def loads(module, device, block):
-        nonlocal together
-        together = True
+        together.add((id(module), block))
         load_one(module, device, block)
-        together = False
 
-    def load_module(self, *arguments, **named):
-        if not together and not self.execs:
-            apart.append(self.name)
-        return done(self, *arguments, **named)
+    def load_module(self, device, block_dim=None, *arguments, **named):
+        if "kernel" in self.name:
+            apart.append((self.name, id(self), block_dim))
+        return load_any(self, device, block_dim, *arguments, **named)
 
     monkeypatch.setattr(launching, "default_threads", lambda: 1)
     monkeypatch.setattr(launching, "_load", loads)
     monkeypatch.setattr(warp._src.context.Module, "load", load_module)
     scene = scenes.pipe(shapes=shapes, hydration=0.1, hydration_modulus=2e6, **SMALL | dict(travel=0.002, settle=0.01))
     Simulation(scene, device=device).run()
-    assert not [name for name in apart if "kernel" in name], apart
+    assert len(together) > 30
+    assert not [name for name, module, block in apart if (module, block) not in together], apart
 
 
 def test_threads_have_the_headers_of_the_one_that_sets_out():

@@ -278,7 +278,8 @@ def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
 
 
 @pytest.mark.parametrize("end", ["do", "wait", "close"])
-def test_what_a_job_fails_with_is_raised_once_by_what_comes_next(end):
+def test_what_a_job_fails_with_is_raised_from_then_on(end):
+    """Who puts up with it once, as a checkpoint does, is told again, or a recording would end without a word."""
     done = []
 
     def fail():
@@ -288,10 +289,32 @@ def test_what_a_job_fails_with_is_raised_once_by_what_comes_next(end):
     later.do(lambda: done.append(1))
     later.do(fail)
     with pytest.raises(OSError, match="no room"):
-        for _ in range(10):
+        for _ in range(100):
             getattr(later, end)(*([lambda: done.append(2)] if end == "do" else []))
             time.sleep(0.05)
-    later.close()
+    for call in (later.wait, lambda: later.do(lambda: done.append(3)), later.close):
+        with pytest.raises(OSError, match="no room"):
+            call()
     assert done == [1]
     with pytest.raises(OSError, match="no room"):
         Later(beside=False).do(fail)
+
+
+def test_a_frame_that_cannot_be_drawn_ends_the_run_though_a_checkpoint_comes_first(tmp_path, monkeypatch):
+    recording(monkeypatch, True)
+    recorder, frames = UsdRecorder(tmp_path / "scene.usdc"), []
+
+    def draw(when, steps, draw=recorder._draw):
+        frames.append(when)
+        if len(frames) == 3:
+            raise OSError("no room")
+        draw(when, steps)
+
+    monkeypatch.setattr(recorder, "_draw", draw)
+    simulation = Simulation(
+        scenes.pipe(**SMALL | dict(travel=0.02)), device="cpu", recorders=[recorder], frame_interval=1e-4,
+        checkpoint_path=tmp_path / "checkpoint.npz", checkpoint_every=0.0,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="checkpoint"), pytest.raises(OSError, match="no room"):
+        simulation.run()
+    assert len(frames) == 3 and (tmp_path / "scene.usdc").is_file()

@@ -14,7 +14,7 @@ MOST = 8
 
 
 class Later:
-    """Does jobs one after the other. What one fails with is raised by the next call, and no other is done then.
+    """Does jobs one after the other. What one fails with is raised by every call from then on, and no other is done.
 
     Without `beside` each is done at once, by who asks.
     """
@@ -28,7 +28,8 @@ class Later:
     @classmethod
     def of(cls, simulation: Any) -> Later:
         """Beside the run where there is a core for it: threads of a run that wait for one another need theirs."""
-        return cls(parallel(simulation.device) or simulation.threads < default_threads())
+        spare = not simulation.shares_cores and simulation.threads < default_threads()
+        return cls(parallel(simulation.device) or spare)
 
     def do(self, job: Callable[[], None]) -> None:
         """Do a job, or put it in the queue."""
@@ -55,20 +56,18 @@ class Later:
         self._look()
 
     def _look(self) -> None:
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
+        if self._error is not None:
+            raise self._error
 
     def _work(self) -> None:
-        failed = False
         while True:
             job = self._jobs.get()
             try:
                 if job is None:
                     return
-                if not failed:
+                if self._error is None:
                     job()
             except BaseException as error:
-                self._error, failed = error, True
+                self._error = error
             finally:
                 self._jobs.task_done()

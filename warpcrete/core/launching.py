@@ -11,7 +11,7 @@ import os
 import threading
 import time
 import weakref
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -137,7 +137,8 @@ def load(stages: Iterable[Any], device: Any) -> None:
 
     def work(take: Callable[[], tuple[Any, int]]) -> None:
         nonlocal told
-        _share_headers(home)
+        if not parallel(device):
+            _share_headers(home)
         while True:
             try:
                 module, block = take()
@@ -171,22 +172,24 @@ def _flags(module: Any) -> str:
     return module.options.get("cpu_compiler_flags") or ""
 
 
-_headers: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
-_compiled_headers: set[str] = set()
-"""Flags with which headers have been compiled."""
+_first = threading.Lock()
+_compiled_headers: set[tuple[str, str]] = set()
+"""Folders of compiled headers, and flags with which they have some."""
 
 
 def _load(module: Any, device: Any, block: int) -> None:
-    """Compile a module; on a CPU, as long as its flags have no compiled headers, no two with the same flags at once."""
+    """Compile a module; on a CPU, as long as its flags have no compiled headers, one such at a time: two threads that
+    share a folder must not write one file.
+    """
     flags, folder = _flags(module), _headers_folder()
-    if parallel(device) or flags in _compiled_headers or folder is None:
+    if parallel(device) or folder is None or (folder, flags) in _compiled_headers:
         wp.load_module(module, device=device, block_dim=block)
         return
-    with _headers[flags]:
-        before = set(os.listdir(folder))
+    with _first:
         wp.load_module(module, device=device, block_dim=block)
-        if set(os.listdir(folder)) - before:
-            _compiled_headers.add(flags)
+        # Each has a file, also of those that this thread compiled before; what came from the cache has none.
+        if len(os.listdir(folder)) > sum(known == folder for known, _ in _compiled_headers):
+            _compiled_headers.add((folder, flags))
 
 
 def _headers_folder() -> str | None:

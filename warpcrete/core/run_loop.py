@@ -23,7 +23,8 @@ from .launching import telling
 from .progress import ProgressBar
 
 Progress = Callable[[str, float, dict[str, Any]], None]
-"""Called with the phase (`packing`, `settling`, `running`), the fraction done and a few current figures."""
+"""Called with the phase (`packing`, `settling`, `running`; `compiling` between them, where that takes a while), the
+fraction done and a few current figures."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,8 @@ class Simulation:
     """Subclasses, one for each method."""
     stepper: Any
     """Has `time` [s], `steps`, and `advance(until)`, which steps to a time [s]."""
+    shares_cores = False
+    """Other runs beside this one have the cores that its threads leave."""
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)

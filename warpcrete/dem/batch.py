@@ -33,7 +33,8 @@ other between two."""
 OLD = 256
 """Steps after which threads have larger graphs captured: chunks may change before."""
 PER_THREAD = 500
-"""Spheres from which on a thread of a CPU is worth its waiting for the others: two are even with one at a thousand."""
+"""Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
+thirds to the whole of one's time at a thousand spheres, one to two and a half times it at half as many."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
 BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.device import MEMORY_FRACTION, memory_free, parallel
 from ..core.errors import WarpcreteError
+from ..core.launching import telling
 from ..core.provenance import fingerprint
 from ..core.run_loop import Coroutine, Run
 from .batch import batch_key
@@ -35,7 +36,15 @@ def run_batch(
     `KeyboardInterrupt` for those that had not begun. `progress` is called with a phase and the fraction done.
     """
     tell = progress or (lambda phase, fraction: None)
-    checkpoints = checkpoints or [None] * len(simulations)
+    with telling(tell):
+        return _run_batch(simulations, checkpoints or [None] * len(simulations), tell)
+
+
+def _run_batch(
+    simulations: Sequence[ElementSimulation],
+    checkpoints: Sequence[Path | None],
+    tell: Callable[[str, float], None],
+) -> list[Outcome]:
     outcomes: dict[int, Outcome] = {}
     try:
         new = [s for s, c in zip(simulations, checkpoints) if c is None]

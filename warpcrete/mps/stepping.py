@@ -15,7 +15,7 @@ import warp as wp
 
 from ..core.device import parallel
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
-from ..core.launching import Launcher, Step, graph_sizes
+from ..core.launching import Launcher, Step, graph_sizes, telling
 from ..core.method import Progress, run_in_turn
 from ..core.run_loop import Coroutine, Run
 from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
@@ -220,7 +220,8 @@ def run_abreast(
         return run_in_turn(simulations, checkpoints, progress)
     everyone = [_Run(*pair) for pair in zip(simulations, checkpoints)]
     try:
-        _together(everyone, simulations[0].device, progress)
+        with telling(progress):
+            _together(everyone, simulations[0].device, progress)
     except KeyboardInterrupt as why:
         for run in everyone:
             run.stop(why)

@@ -9,7 +9,9 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,7 +34,8 @@ LOCAL = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address"
 LOOK = 1.0
 """From one question whether to stop to the next, of a worker [s]."""
 CONNECT = 20.0
-"""Time for a scheduler to answer [s]."""
+"""Time for a scheduler to answer, and for a worker to be there [s]."""
+_part = threading.Lock()
 
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
@@ -63,12 +66,14 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
 class Cluster:
     """Workers that cases run on."""
 
-    def __init__(self, client: Any, default: str | None) -> None:
-        self._client, self._default = client, default
+    def __init__(self, client: Any, scheduler: str, workers: int | None) -> None:
+        self._client, self._scheduler, self._workers = client, scheduler, workers
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
         """Device that a worker takes for `device`, and its provenance."""
-        return self._client.submit(_machine, device or self._default, precision, seed, pure=False).result()
+        if self._scheduler == "slurm":
+            device = device or "cpu"
+        return self._client.submit(_machine, unnumbered(device), precision, seed, pure=False).result()
 
     def run(self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book) -> None:
         """Run cases: one a task on CPUs; on GPUs a part of all for each worker, which it runs as a batch."""
@@ -78,9 +83,9 @@ class Cluster:
         stop = Event(name, client=self._client)
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
-            count = max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+            count = self._workers or len(self._client.scheduler_info(n_workers=-1)["workers"])
             parts = [part for k in range(count) if (part := pending[k::count])]
-        common = record, module.__name__, str(folder.resolve())
+        common = record | {"device": unnumbered(record["device"])}, module.__name__, str(folder.resolve())
         running = {self._client.submit(_run_part, *common, part, name, pure=False): part for part in parts}
         while running:
             try:
@@ -97,7 +102,15 @@ class Cluster:
             except KeyboardInterrupt:
                 if stop.is_set():
                     raise
-                stop.set()  # those that run end at their next sample, the others do not begin
+                stop.set()  # those that run end at their next sample
+                with_workers = {key for keys in self._client.processing().values() for key in keys}
+                for future in [future for future in running if future.key not in with_workers]:
+                    future.cancel()
+                    del running[future]
+            except WarpcreteError:
+                raise
+            except Exception as lost:
+                raise WarpcreteError(f"scheduler = {self._scheduler!r}: is lost: {type(lost).__name__}") from lost
 
 
 @contextmanager
@@ -117,15 +130,25 @@ def open_cluster(scheduler: str | None, workers: int | None, device: str | None)
     try:
         if scheduler == "local":
             made = local_cluster(workers, device)
+            workers = len(made.worker_spec)
         elif scheduler == "slurm":
-            made = slurm_cluster(device)
-            made.scale(jobs=workers or 1)
+            if shutil.which("sbatch") is None:
+                raise WarpcreteError(
+                    "scheduler = 'slurm': there is no sbatch here; begin on a machine that submits jobs"
+                )
+            made, workers = slurm_cluster(device), workers or 1
+            made.scale(jobs=workers)
         try:
             client = Client(made or scheduler, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}") from error
         with client:
-            yield Cluster(client, "cpu" if scheduler == "slurm" else None)
+            try:
+                # A job may wait for long, and who started it knows.
+                client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT)
+            except TimeoutError as error:
+                raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers") from error
+            yield Cluster(client, scheduler, workers)
     finally:
         if made is not None:
             made.close()
@@ -136,15 +159,18 @@ def local_cluster(workers: int | None, device: str | None) -> Any:
     from dask.distributed import Nanny, Scheduler, SpecCluster
 
     environments: list[dict[str, str]]
-    if find_device(device).is_cuda:
+    found = find_device(device)
+    if found.is_cuda:
         visible = os.environ.get("CUDA_VISIBLE_DEVICES")
         numbers = visible.split(",") if visible else [str(k) for k in range(wp.get_cuda_device_count())]
+        if device != unnumbered(device):
+            numbers = [numbers[found.ordinal]]
         if workers is not None and workers > len(numbers):
             refuse("workers", workers, f"are more than there are GPUs here, {len(numbers)}", "take one a GPU")
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or default_threads())]
-    # The variables are set before a worker's process begins, and so before Warp looks for devices.
+    # The variables are set when a worker's process begins, before Warp looks for devices.
     options = {
         "nthreads": 1,
         "memory_limit": 0,
@@ -166,17 +192,25 @@ def slurm_cluster(device: str | None) -> Any:
 
     given = dask.config.get("jobqueue.slurm", {})
     cores = given.get("cores") or 1
+    gpu = ("--gres", "--gpus", "-G")
     directives = list(given.get("job-extra-directives") or [])
     on_gpu = (device or "cpu").startswith("cuda")
-    if on_gpu and not any("gpu" in each for each in directives):
+    if on_gpu and not any(each.strip().startswith(gpu) for each in directives):
         directives.append("--gres=gpu:1")
+    # A worker has one thread, as a process runs one part at a time.
     return SLURMCluster(
-        cores=cores,
-        processes=1 if on_gpu else given.get("processes") or cores,
+        cores=1 if on_gpu else cores,
+        processes=1 if on_gpu else cores,
+        job_cpu=given.get("job-cpu") or cores,
         memory=given.get("memory") or "4 GB",
         job_extra_directives=directives,
         python=given.get("python") or sys.executable,
     )
+
+
+def unnumbered(device: str | None) -> str | None:
+    """A device as a worker calls it, which sees one GPU at most."""
+    return "cuda" if device is not None and device.startswith("cuda") else device
 
 
 def dask_setup(worker: Any) -> None:
@@ -190,7 +224,15 @@ def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[s
 
 
 def _run_part(record: dict[str, Any], module_name: str, folder: str, cases: list[Case], stop: str) -> list[Any]:
-    """Cases, on a worker; those that it, or one that was lost, has finished before are not run again."""
+    """Cases, on a worker; those that it, or one that was lost, has finished before are not run again.
+
+    One part at a time, whatever threads a worker has: to capture launches a process has one place.
+    """
+    with _part:
+        return _run_alone(record, module_name, folder, cases, stop)
+
+
+def _run_alone(record: dict[str, Any], module_name: str, folder: str, cases: list[Case], stop: str) -> list[Any]:
     module, place = importlib.import_module(module_name), Path(folder)
     found = {case.name: kept(place / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]

@@ -46,6 +46,7 @@ def simulation_of(
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
     )
+    simulation.shares_cores = True
     return simulation, checkpoint if checkpoint.is_file() else None
 
 
@@ -148,18 +149,29 @@ def run_cases(
 
     def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         if asked():
-            if phase != "running":
+            if phase not in ("running", "compiling"):
                 raise KeyboardInterrupt
             for simulation in simulations:
                 simulation.stop_requested = True
 
     if not cases or asked():
         return [None] * len(cases)
-    pairs = [simulation_of(record, module, folder, case, 1, hear) for case in cases]
-    simulations += [simulation for simulation, _ in pairs]
-    run_many = method_of(simulations[0].scene).run_many
-    outcomes = run_many(simulations, [path for _, path in pairs], lambda phase, fraction: hear(phase, fraction, {}))
-    return [_plain(outcome) for outcome in outcomes]
+    found: dict[str, Any] = {}
+    begun, checkpoints = [], []
+    for case in cases:
+        try:
+            simulation, checkpoint = simulation_of(record, module, folder, case, 1, hear)
+        except Exception as error:  # of this case alone
+            found[case.name] = error
+        else:
+            begun.append(case.name)
+            simulations.append(simulation)
+            checkpoints.append(checkpoint)
+    if begun:
+        run_many = method_of(simulations[0].scene).run_many
+        outcomes = run_many(simulations, checkpoints, lambda phase, fraction: hear(phase, fraction, {}))
+        found |= dict(zip(begun, map(_plain, outcomes)))
+    return [found[case.name] for case in cases]
 
 
 def _plain(outcome: Any) -> Any:

@@ -28,7 +28,7 @@ from ..methods import method_of
 from ..record.checks import failed_checks
 from ..record.recorders import RECORDERS
 from .cases import Case, cases_of
-from .cluster import Cluster, check_scheduler, open_cluster
+from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .drawing import draw
 from .running import FAILED, kept, run_in_processes, run_on_gpu
 
@@ -219,7 +219,9 @@ def resume_study(
     It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
     """
     check_scheduler(scheduler, workers, processes)
-    with open_cluster(scheduler, workers, read_json(folder / "study.json").get("device")) as cluster:
+    # Of GPUs all that there are: which one a study had says little of where it goes on.
+    device = unnumbered(read_json(folder / "study.json").get("device"))
+    with open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
 
@@ -254,14 +256,15 @@ def _go_on(
                 (folder / case.name / FAILED).write_text(f"{outcome}\n")
         tell("running", len(study.results) / len(cases), {})
 
-    if pending:
-        if cluster is not None:
+    try:
+        if pending and cluster is not None:
             cluster.run(record, module, folder, pending, book)
-        elif find_device(record["device"]).is_cuda:
+        elif pending and find_device(record["device"]).is_cuda:
             run_on_gpu(record, module, folder, pending, book, tell)
-        else:
+        elif pending:
             run_in_processes(record, module, folder, pending, processes, book)
-    study.write()
+    finally:
+        study.write()
     return study
 
 
