@@ -10,9 +10,10 @@ import warp as wp
 from ..core.device import MEMORY_FRACTION, memory_free
 from ..core.errors import CapacityError
 from ..kernels.common.types import types
-from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS
+from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
 from .bodies import BodyTable
 from .model import Model
+from .neighbors import OCTANTS
 from .state import State, pair_bytes
 
 LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
@@ -40,6 +41,8 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
         listing += 4 * listed + 4  # what a search finds, and where
+    else:
+        listing += 4 * OCTANTS  # how much each of its threads finds
     if model.features.analytic:
         listing += 4 * scalar  # where it was last clear of walls
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
@@ -51,7 +54,8 @@ def memory_needed(model: Model, table: BodyTable) -> float:
     if len(table) == 0:
         return 0.0
     body, sphere = bytes_per_body(model, table)
-    return body * len(table) + sphere * float(table.sphere_counts.sum())
+    sums = 8 * (LANES + 1) * (int(BODY_COLUMNS) + int(CONTACT_COLUMNS))
+    return body * len(table) + sphere * float(table.sphere_counts.sum()) + sums
 
 
 def check_memory(model: Model, table: BodyTable) -> None:
