@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -12,10 +11,6 @@ from .device import default_threads, parallel
 
 MOST = 8
 """Jobs that may wait; the run waits when there are more, so that none is lost and memory stays bounded."""
-
-
-SWITCH = 2e-4
-"""Time that a thread may keep the interpreter while another one wants it [s]; Python's own is 5 ms."""
 
 
 class Later:
@@ -65,8 +60,6 @@ class Later:
             raise self._error
 
     def _work(self) -> None:
-        # A GPU is idle while the run waits for this thread to let go of the interpreter.
-        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH))
         while True:
             job = self._jobs.get()
             try:
