@@ -25,6 +25,12 @@ pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gi
 LONG = BASE | dict(travel=0.3, sample_interval=0.005)
 
 
+COMMAND = (
+    # What a shell has begun in the background ignores Ctrl-C, and so do its children.
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from warpcrete.cli import main; main()"
+)
+
+
 def hashes(study):
     return {name: result["state_hash"] for name, result in study.results.items()}
 
@@ -33,7 +39,7 @@ def begun(out, **changes):
     """A study of two cases on two workers, as a command in a process group of its own."""
     options = [f"--{name.replace('_', '-')}={value}" for name, value in (LONG | changes).items()]
     return subprocess.Popen(
-        [sys.executable, "-c", "from warpcrete.cli import main; main()", "study", "pipe", "--velocity", "0.3", "0.31",
+        [sys.executable, "-c", COMMAND, "study", "pipe", "--velocity", "0.3", "0.31",
          *options, "--out", str(out), "--device", "cpu", "--scheduler", "local", "--workers", "2",
          "--checkpoint-every", "0.2", "--quiet"],
         start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
