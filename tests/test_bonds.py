@@ -10,7 +10,7 @@ from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import Bodies, Bonds, Contact, Hydration, Scene
+from warpcrete.dem.scene import Bodies, Bonds, Contact, Hydration, Scene, TimeStep
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 
@@ -164,6 +164,7 @@ def test_hydration_takes_the_fraction_asked_for(start):
         bonds=bonds,
         hydration=Hydration(fraction=0.2),
         gravity=(0, 0, 0),
+        time_step=TimeStep(rounds=1),
     )
     stepper = start(scene)
     made = stepper.bond(bonds, 1)

@@ -13,6 +13,7 @@ from .contact_law import contact_functions
 UNBONDED = wp.constant(0)
 BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
+HYDRATED = wp.constant(2)  # that of hydrated contacts; 1 is that of the others
 
 
 @functools.cache

@@ -28,7 +28,7 @@ from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 
 @functools.cache
 def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
-                  dissipation: bool, ways: int, lanes: int):  # fmt: skip
+                  subcycling: bool, dissipation: bool, ways: int, lanes: int):  # fmt: skip
     """Everything that :func:`contact_kernel` calls."""
     structs = array_structs(scalar)
     law = pair_law.functions(scalar)
@@ -39,8 +39,8 @@ def contact_parts(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         Parameters=law.Parameters, WallParameters=wall_law.functions(scalar).Parameters,
         Bond=bond_functions(scalar).Bond, Segment=analytic.Segment,
         touching=touching_function(scalar, pair_law, half, history, bonds, healing, dissipation),
-        close_entries=closeness_function(scalar, bonds, lanes), share=share_function(ways),
-        part_entries=parting_function(scalar, pair_law, half, history, healing, dissipation),
+        close_entries=closeness_function(scalar, bonds, subcycling, lanes), share=share_function(ways),
+        part_entries=parting_function(scalar, pair_law, half, history, healing, subcycling, dissipation),
         far_from_walls=analytic.far_from_walls, on_walls=analytic.on_walls,
         read_int=rows.read_int, read_vec3=rows.read_vec3, read_vec4=rows.read_vec4, write_vec3=rows.write_vec3,
         **vars(lane_functions(scalar, lanes)),
@@ -55,7 +55,7 @@ def contact_options(half: bool) -> dict:
 
 @functools.cache
 def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool, healing: bool,
-                   walls_too: bool, dissipation: bool, ways: int = 1, lanes: int = 1):  # fmt: skip
+                   subcycling: bool, walls_too: bool, dissipation: bool, ways: int = 1, lanes: int = 1):  # fmt: skip
     """Kernel over spheres: contact forces [N] and moments about sphere centres [N m].
 
     In the half list they are added to what stands there, else they replace it. With `dissipation` it also adds up what
@@ -64,7 +64,9 @@ def contact_kernel(scalar, pair_law, wall_law, half: bool, history: bool, bonds:
     many `lanes`, threads of a GPU beside one another, or by one, to the same bits.
     """
     t, span = types(scalar), SPAN if half else 1
-    f = contact_parts(scalar, pair_law, wall_law, half, history, bonds, healing, dissipation, ways, lanes)
+    f = contact_parts(
+        scalar, pair_law, wall_law, half, history, bonds, healing, subcycling, dissipation, ways, lanes
+    )  # fmt: skip
     Parameters, WallParameters, Bond, Segment = f.Parameters, f.WallParameters, f.Bond, f.Segment
     Scenes, Spheres, Slots, Pairs, Walls = f.Scenes, f.Spheres, f.Slots, f.Pairs, f.Walls
 

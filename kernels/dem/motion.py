@@ -9,7 +9,7 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs
+from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, subcycled_struct
 
 
 @functools.cache
@@ -256,13 +256,14 @@ def gather_function(scalar, half: bool):
 
 
 @functools.cache
-def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, dissipation: bool):
+def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool):
     """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
     Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
     before to the middle of this one, so the step size may change on the way. Bodies with three principal
     moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
-    time-reversible and its energy error bounded.
+    time-reversible and its energy error bounded. Bodies with stiff bonds move in rounds (`subcycling`):
+    it notes the forces on them.
     """
     span = SPAN if half else 1
     structs = array_structs(scalar)
@@ -271,6 +272,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, d
     pack = vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
     gather = gather_function(scalar, half)
+    Subcycled = subcycled_struct(scalar)
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
@@ -293,6 +295,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, d
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
+        subcycled: Subcycled,
     ):
         begin_b = first + wp.tid() * wp.static(span)
         for b in range(begin_b, wp.min(begin_b + wp.static(span), last)):
@@ -314,6 +317,11 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, d
                     total += drive_force_at(segments, drive_axis, drive_force, scenes.row[scene].groups + group, x)
             total += mass * scenes.row[scene].gravity
 
+            if wp.static(subcycling):
+                if subcycled.member[b] != 0:
+                    subcycled.other_force[subcycled.member[b] - 1] = total
+                    subcycled.other_torque[subcycled.member[b] - 1] = torque
+                    continue
             velocity = bodies.velocity[b]
             total, lost = damped(total, velocity, damping, kick)
             velocity += total * (kick / mass)

@@ -7,7 +7,7 @@ import warp as wp
 
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .bond_parallel import BROKEN_IN_TENSION, UNBONDED, bond_functions
+from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .structs import array_structs
 
@@ -76,11 +76,11 @@ def pair_functions(scalar):
         pair.arm_j = arm_j
         return pair
 
-    return SimpleNamespace(PairTouch=PairTouch, pair_touch=pair_touch)
+    return SimpleNamespace(Touch=Touch, PairTouch=PairTouch, pair_touch=pair_touch)
 
 
 @functools.cache
-def parting_function(scalar, law, half: bool, history: bool, healing: bool, dissipation: bool):
+def parting_function(scalar, law, half: bool, history: bool, healing: bool, subcycling: bool, dissipation: bool):
     """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
     `block` to `end`; the energy that they lose [J]."""
     t = types(scalar)
@@ -146,6 +146,9 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, diss
         while left != 0:
             k = block + lowest_bit(left)
             left = left & (left - 1)
+            if wp.static(subcycling):
+                if k < end and pairs.bond[k] == HYDRATED:
+                    continue  # its history is not a contact's of this step
             if k < end:
                 lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost
@@ -154,11 +157,27 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, diss
 
 
 @functools.cache
+def broken_function(scalar):
+    """`count_broken`: notes at a sphere how a bond of it broke."""
+    Spheres = array_structs(scalar).Spheres
+
+    @wp.func
+    def count_broken(spheres: Spheres, i: wp.int32, outcome: wp.int32):
+        broken = spheres.broken[i]
+        if outcome == BROKEN_IN_TENSION:
+            broken[0] = broken[0] + 1
+        else:
+            broken[1] = broken[1] + 1
+        spheres.broken[i] = broken
+
+    return count_broken
+
+
+@functools.cache
 def bonded_function(scalar, healing: bool, dissipation: bool):
     """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
     t = types(scalar)
-    structs = array_structs(scalar)
-    Spheres, Pairs = structs.Spheres, structs.Pairs
+    Pairs = array_structs(scalar).Pairs
     PairTouch = pair_functions(scalar).PairTouch
     bond = bond_functions(scalar)
     Bond, bond_force, bond_energy = bond.Bond, bond.bond_force, bond.bond_energy
@@ -168,21 +187,19 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 
     @wp.func
     def bonded(
-        spheres: Spheres,
         pairs: Pairs,
         parameters: wp.array(dtype=Bond),
         first_kind: wp.int32,
-        i: wp.int32,
         k: wp.int32,
-        own: wp.bool,
         pair: PairTouch,
         relative_spin: t.vec3,
         total: t.vec3,
         lost: scalar,
         dt: scalar,
     ):
-        """Force of contact and bond [N], moment of the bond [N m], energy lost [J]; `own` copies count breaking."""
+        """Force of contact and bond [N], moment of the bond [N m], energy lost [J], and how it broke, or 1."""
         moment = t.vec3()
+        outcome = wp.int32(1)
         kind = read_int(pairs.bond, k)
         if wp.static(healing):
             if kind == UNBONDED:
@@ -201,13 +218,6 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
             )  # fmt: skip
             if outcome < 0:
                 pairs.bond[k] = outcome
-                if own:
-                    broken = spheres.broken[i]
-                    if outcome == BROKEN_IN_TENSION:
-                        broken[0] = broken[0] + 1
-                    else:
-                        broken[1] = broken[1] + 1
-                    spheres.broken[i] = broken
                 if wp.static(dissipation):
                     if touch.gap >= scalar(0.0):
                         lost = scalar(0.0)
@@ -222,15 +232,15 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
             write_vec4(pairs.bond_moment, k, held_moment)
             total = total + xyz(held_force) + held_force[3] * n
             moment = xyz(held_moment) + held_moment[3] * n
-        return total, moment, lost
+        return total, moment, lost, outcome
 
     return bonded
 
 
 @functools.cache
-def closeness_function(scalar, bonds: bool, lanes: int):
+def closeness_function(scalar, bonds: bool, subcycling: bool, lanes: int):
     """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it; of those
-    that fall to a `lane`.
+    that fall to a `lane`. Pairs that are stepped in rounds of their own have none.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -252,7 +262,10 @@ def closeness_function(scalar, bonds: bool, lanes: int):
             reach = position[3] + position_j[3]
             close = wp.length_sq(xyz(position_j) - x) < reach * reach
             if wp.static(bonds):
-                close = close or read_int(pairs.bond, block + b) > 0
+                kind = read_int(pairs.bond, block + b)
+                close = close or kind > 0
+                if wp.static(subcycling):
+                    close = close and kind != HYDRATED
             if close:
                 bits = bits | (1 << b)
             b = b + lanes
@@ -273,7 +286,7 @@ def touching_function(scalar, law, half: bool, history: bool, bonds: bool, heali
     Parameters, contact_force = functions.Parameters, functions.force
     Bond = bond_functions(scalar).Bond
     pair_touch = pair_functions(scalar).pair_touch
-    bonded = bonded_function(scalar, healing, dissipation)
+    bonded, count_broken = bonded_function(scalar, healing, dissipation), broken_function(scalar)
     rows = row_functions(scalar)
     read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
 
@@ -308,10 +321,11 @@ def touching_function(scalar, law, half: bool, history: bool, bonds: bool, heali
                 write_vec3(pairs.history, k, new_history)
             bond_moment = t.vec3()
             if wp.static(bonds):
-                total, bond_moment, lost = bonded(
-                    spheres, pairs, bond_parameters, first_bond, i, k, own, pair, sign * (spin_j - spin_i), total,
-                    lost, dt,
-                )  # fmt: skip
+                total, bond_moment, lost, outcome = bonded(
+                    pairs, bond_parameters, first_bond, k, pair, sign * (spin_j - spin_i), total, lost, dt
+                )
+                if outcome < 0 and own:
+                    count_broken(spheres, i, outcome)
             if wp.static(dissipation):
                 if own:
                     lost_i += wp.float64(lost)

@@ -7,12 +7,10 @@ import warp as wp
 from ..common.geometry import axis_functions
 from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
-from .bond_parallel import bond_functions
+from .bond_parallel import HYDRATED, bond_functions
 from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
-
-HYDRATED = wp.constant(2)  # kind of bond that hydrated contacts have; 1 is that of the others
 
 # Columns of the per-sphere contact sums.
 CONTACTS = wp.constant(0)  # touching pairs

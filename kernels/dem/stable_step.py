@@ -15,10 +15,11 @@ import warp as wp
 
 from ..common.types import types, vector_functions
 from ..common.walls import DRIVEN, wall_functions
-from .bond_parallel import bond_functions
+from .bond_parallel import HYDRATED, bond_functions
 from .contact_law import contact_functions
 from .pairs import decode
-from .structs import DT, STABLE, array_structs
+from .structs import DT, STABLE, array_structs, subcycled_struct
+from .subcycling import PART, RELAXATION
 
 
 @functools.cache
@@ -92,8 +93,11 @@ def begin_kernel(scalar):
 
 
 @functools.cache
-def pair_stiffness_function(scalar, law, half: bool, bonds: bool):
-    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i; a half list adds to both spheres."""
+def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool):
+    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i; a half list adds to both spheres.
+
+    With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -120,6 +124,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool):
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
+        stiff: wp.bool,
         parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         scenes: Scenes,
@@ -146,7 +151,10 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool):
             bond = wp.int32(0)
             if wp.static(bonds):
                 bond = pairs.bond[pair]
-            if touching or bond > 0:
+            counts = touching or bond > 0
+            if wp.static(subcycling):
+                counts = counts and (bond == HYDRATED) == stiff
+            if counts:
                 n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
                 velocity = xyz(spheres.velocity[j]) - xyz(spheres.velocity[i])
                 touch = sphere_touch(
@@ -179,8 +187,9 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool):
 
 
 @functools.cache
-def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
-    """Kernel over the spheres of a chunk of scene `s`: what their contacts add to `estimate`.
+def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool):
+    """Kernel over the spheres of a chunk of scene `s`: what their contacts add to `estimate`; with `stiff` those that
+    are stepped in rounds only.
 
     In the half list `first` and `last` bound the chunk of spheres whose pairs are counted.
     """
@@ -193,7 +202,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
     PairParameters = pair_law.functions(scalar).Parameters
     WallParameters, wall_stiffness = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).stiffness
     Bond = bond_functions(scalar).Bond
-    add_pairs = pair_stiffness_function(scalar, pair_law, half, bonds).add_pairs
+    add_pairs = pair_stiffness_function(scalar, pair_law, half, bonds, subcycling).add_pairs
     matrices = stiffness_functions(scalar)
     outer, turning = matrices.outer, matrices.turning
     wall_touch = contact_functions(scalar).wall_touch
@@ -224,6 +233,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
+        stiff: wp.bool,
         # state, read
         scenes: Scenes,
         bodies: Bodies,
@@ -242,12 +252,17 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool):
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         arm_i = xi - bodies.position[scenes.row[s].bodies + spheres.body[i]]
         hurry(estimate.fastest, s, wp.length(velocity_i))
-        sums = add_pairs(i, s, first, last, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate)
+        sums = add_pairs(
+            i, s, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
+        )  # fmt: skip
         first_wall = scenes.row[s].walls
         for w in range(first_wall, first_wall + scenes.row[s].wall_count):
             surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
             hurry(estimate.fastest, s, wp.length(surface))
-        for slot in range(slots.history.shape[1]):
+        met = slots.history.shape[1]
+        if stiff:
+            met = 0
+        for slot in range(met):
             w = first_wall + slot
             n = t.vec3()  # into the wall
             overlap = scalar(-1.0)
@@ -338,6 +353,7 @@ def reduce_kernel(scalar, pair_law, wall_law):
         wall_parameters: wp.array(dtype=WallParameters),
         # state, read
         s: wp.int32,
+        stiff: wp.bool,
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
@@ -374,6 +390,9 @@ def reduce_kernel(scalar, pair_law, wall_law):
             k, c = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn)
             k_floor = wp.max(k_floor, k)
             c_floor = wp.max(c_floor, c)
+        if stiff:
+            k_floor = scalar(0.0)
+            c_floor = scalar(0.0)
         unit = t.vec3(mass, mass, mass)
         step = stable(wp.max(row_sum(k_sum, unit), k_floor / mass), wp.max(row_sum(c_sum, unit), c_floor / mass))
         axes = wp.quat_to_matrix(bodies.orientation[b])
@@ -389,16 +408,34 @@ def reduce_kernel(scalar, pair_law, wall_law):
 
 
 @functools.cache
-def settle_kernel(scalar):
+def keep_kernel(scalar):
+    """One thread: what has been found of scene `s` holds for the pairs that are stepped in rounds."""
+    Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def keep_stable(s: wp.int32, estimate: Estimate, subcycled: Subcycled):
+        subcycled.stable[s] = estimate.smallest[s]
+
+    return keep_stable
+
+
+@functools.cache
+def settle_kernel(scalar, subcycling: bool):
     """One thread: the stable step of scene `s`, driven walls included, and the size of its next steps."""
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
-    Estimate = estimate_struct(scalar)
+    Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def settle_step(s: wp.int32, estimate: Estimate, walls: Walls, scenes: Scenes):
+    def settle_step(s: wp.int32, estimate: Estimate, subcycled: Subcycled, walls: Walls, scenes: Scenes):
         one = wp.float64(1.0)
         step = estimate.smallest[s]
+        if wp.static(subcycling):
+            if subcycled.rounds[s] > 0:
+                # Dashpots of stiff bonds go with stiffness and step.
+                rounds = wp.float64(subcycled.rounds[s])
+                stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
+                step = wp.min(wp.float64(PART) * step, stiff)
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
             if walls.table[w].motion == DRIVEN:
                 # A driven wall is a body, too; never less than one contact with the largest sphere.

@@ -163,3 +163,39 @@ def array_structs(scalar) -> SimpleNamespace:
     return SimpleNamespace(
         Scenes=Scenes, Bodies=Bodies, Spheres=Spheres, Slots=Slots, Pairs=Pairs, Candidates=Candidates, Walls=Walls,
     )  # fmt: skip
+
+
+@functools.cache
+def subcycled_struct(scalar):
+    """Struct `Subcycled`: pairs that are stepped in rounds, and bodies that have such pairs."""
+    t = types(scalar)
+
+    @wp.struct
+    class Subcycled:
+        rounds: wp.array(dtype=wp.int32)  # in a step, 0 for none, shape (scenes,)
+        stable: wp.array(dtype=wp.float64)  # step for these pairs alone [s], shape (scenes,)
+        pair_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (pairs,) as the rest
+        lower: wp.array(dtype=wp.int32)  # permanent numbers of the two spheres
+        higher: wp.array(dtype=wp.int32)  # likewise
+        i: wp.array(dtype=wp.int32)  # where the lower sphere is now, in the batch
+        j: wp.array(dtype=wp.int32)  # where the higher one is
+        entry: wp.array(dtype=wp.int32)  # of the list, that holds the pair
+        copy: wp.array(dtype=wp.int32)  # of the list, that holds it a second time, or -1
+        active: wp.array(dtype=wp.int32)  # 0: the bond is broken, and the contact is one as all others
+        force: wp.array(dtype=t.vec3)  # on the lower sphere [N]
+        lower_moment: wp.array(dtype=t.vec3)  # about its centre [N m]
+        higher_moment: wp.array(dtype=t.vec3)  # on the other, about its own
+        lost: wp.array(dtype=wp.float64)  # energy, in the last round [J]
+        outcome: wp.array(dtype=wp.int32)  # 1, or how the bond broke in the last round
+        body_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (bodies,) as the rest
+        body_number: wp.array(dtype=wp.int32)  # permanent
+        place: wp.array(dtype=wp.int32)  # where it is now, in the batch
+        start: wp.array(dtype=wp.int32)  # first entry of its row in `ref`, and the end, shape (bodies + 1,)
+        ref: wp.array(dtype=wp.int32)  # twice a pair's number, plus 1 where the body has its higher sphere
+        position: wp.array(dtype=t.vec3)  # in the middle of a step, as the velocities of all bodies [m]
+        orientation: wp.array(dtype=t.quat)  # likewise
+        other_force: wp.array(dtype=t.vec3)  # of all but stiff pairs [N]
+        other_torque: wp.array(dtype=t.vec3)  # about the centroid [N m]
+        member: wp.array(dtype=wp.int32)  # of every body of the batch: 1 + its row here, or 0
+
+    return Subcycled

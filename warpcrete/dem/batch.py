@@ -25,6 +25,7 @@ from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.structs import array_structs, scene_struct
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+from .subcycling import Subcycles
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
@@ -114,6 +115,7 @@ class Batch:
         self._join_states()
         self._join_models()
         self._place_pairs()
+        self.subcycles = Subcycles(self)
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
@@ -383,7 +385,8 @@ class Batch:
         before = int(flags[0, int(STEPS)])
         self.device_changed()
         kind = "cuda" if self.parallel else "threads" if self.threads > 1 and self._since_captured > OLD else "cpu"
-        sizes = graph_sizes(count, LARGEST_GRAPH[kind])
+        largest = max(1, LARGEST_GRAPH[kind] // (1 + self.subcycles.rounds // 4))  # graphs of as many launches
+        sizes = graph_sizes(count, largest)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
         self.sync_bodies()

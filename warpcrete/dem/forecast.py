@@ -21,6 +21,7 @@ from ..core.forecast import Forecast, Probe, median_time
 from ..core.run_loop import drive_alone
 from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
+from ..kernels.dem.subcycling import PART
 from .bodies import BodyTable, placed_bodies
 from .containers import PipeContainer
 from .laws import ContactLaw
@@ -59,8 +60,8 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
     if scene.settle is not None and scene.settle.duration > 0:
         time_settling = _settling_time(scene)
         looks = math.ceil(SETTLING_PARTS * time_settling / scene.settle.duration)
-        count = time_settling / dt
-        parts["settling"] = (count * (step + SETTLING_BUILDS * build) + looks * sample) * factor
+        count = time_settling / (dt / PART if ready.stepper.batch.subcycles.rounds else dt)
+        parts["settling"] = (count * (ready.settling_step() + SETTLING_BUILDS * build) + looks * sample) * factor
     builds = ready.builds(steps)
     parts["steps"] = steps * step * factor
     parts["list builds"] = builds * build * factor
@@ -183,6 +184,13 @@ class _Copy:
             count = min(2 * count, 128)
         return float(np.quantile(rates, 0.25))
 
+    def settling_step(self) -> float:
+        """Wall time of a step before there are hydrated bonds [s]; the copy is of no use for anything else then."""
+        if not self.stepper.batch.subcycles.rounds:
+            return self.step
+        self.stepper.batch.subcycles.set_rounds(self.stepper.index, 0)
+        return self.step_time()
+
     def builds(self, steps: float) -> float:
         """List builds of the whole run."""
         pipe, skin = self.scene.pipe, self.stepper.skin
@@ -241,6 +249,8 @@ class _Copy:
                          f"contacts alone and are {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
         else:
             words.append("contacts")
+        if rounds := stepper.batch.subcycles.rounds:
+            words.append(f"hydrated bonds take {rounds} rounds in each, which makes it half as large")
         undamped = found.get("contacts without dashpots", alone)
         if undamped > 1.1 * alone:
             share = 100 * (1 - alone / undamped)

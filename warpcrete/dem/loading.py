@@ -19,7 +19,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
     batch = lists.batch
     if batch.sphere_count:
         steps = [stage for part in step_stages(batch) for stage in part]
-        load([*steps, *lists.kernels(), *estimate.kernels(), *_others(batch)], batch.device)
+        load([*steps, *lists.kernels(), *estimate.kernels(), *_others(batch), *batch.subcycles.kernels()], batch.device)
 
 
 def _others(batch: Batch) -> list[Any]:

@@ -19,6 +19,9 @@ from ..kernels.dem.bond_parallel import bond_functions
 from .laws import ContactLaw
 from .scene import Bonds, Scene
 
+MUCH_STIFFER = 50.0
+"""Modulus of hydrated bonds over all others from which on rounds within a step are worth their while."""
+
 
 @dataclass(frozen=True)
 class Features:
@@ -34,8 +37,10 @@ class Features:
     """Some contacts are, or may come to be, bonded."""
     healing: bool
     """Contacts bond when they touch."""
+    subcycling: bool
+    """Stiff bonds are stepped in rounds within a step."""
     clumps: bool
-    """Some bodies have several spheres."""
+    """Some bodies have several spheres, or are to be moved as if they had."""
     rotation: bool
     """Bodies can turn; single spheres without friction or bonds cannot."""
     drives: bool
@@ -112,13 +117,16 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
     groups = ("", *sorted({b.group for b in scene.bodies if b.group}))
     bond_kinds = _bond_kinds(scene)
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
-    clumps = any(t is not None and len(t.radii) > 1 for t in shapes)
+    subcycling = not growth and subcycled(scene)
+    # Bodies then hold the velocity of a round, and their spheres the mean over the step.
+    clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=type(pair_laws[0]),
         wall_law=type(wall_laws[0]),
         history=any(c.has_history for c in pair_laws),
         bonds=bool(bond_kinds),
         healing=scene.bonds is not None and scene.bonds.healing,
+        subcycling=subcycling,
         clumps=clumps,
         rotation=clumps or bool(bond_kinds) or any(c.has_shear for c in (*pair_laws, *wall_laws)),
         drives=bool(scene.drives),
@@ -152,6 +160,17 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
         drive_force=_array(drive_force, scalar, device),
         meshes=kept,
     )
+
+
+def subcycled(scene: Scene) -> bool:
+    """Whether hydrated bonds are stepped in rounds of their own: they are there, much stiffer than all else, and
+    nobody asked for single steps. Local damping goes by the sum of all forces, which no part of a step knows."""
+    hydration, rounds = scene.hydration, scene.time_step.rounds
+    if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
+        return False
+    laws = [c.stress_scale for c in (scene.contact, *scene.contacts.values())]
+    others = [b.effective_modulus for b in (scene.bonds, *scene.group_bonds.values())]
+    return rounds is not None or hydration.bonds.effective_modulus >= MUCH_STIFFER * max(*laws, *others)
 
 
 class _Axes:

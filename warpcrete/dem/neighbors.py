@@ -138,6 +138,7 @@ class NeighborLists:
                 b.reserve_faces(wanted)
                 launches = self._launches(sort)
             launches.faces[2]()
+        b.subcycles.locate()
         launches.drift()
         launches.clear_stale()
         b.device_changed()

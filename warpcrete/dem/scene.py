@@ -139,9 +139,16 @@ class TimeStep(Declared):
     ] = 0.8
     largest: Annotated[float, "cap of the automatic step [s]", Above()] = 1e-3
     interval: Annotated[int, "steps between two estimates"] = 20
+    rounds: Annotated[
+        int | None,
+        "in which hydrated bonds are stepped within a step of all else; None: as many as they need, where they are "
+        "much stiffer than all else; 1: none, the step is then that of the stiffest",
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.rounds is not None and self.rounds < 1:
+            refuse("rounds", self.rounds, "must be a whole number, 1 or more", "leave it out for as many as it takes")
         if self.fixed is not None:
             positive("time_step", self.fixed, "s", "leave it out for an automatic step")
         if self.interval < 1:

@@ -13,6 +13,7 @@ from ..kernels.dem.stable_step import (
     begin_kernel,
     estimate_struct,
     gather_kernel,
+    keep_kernel,
     reduce_kernel,
     settle_kernel,
 )
@@ -60,18 +61,27 @@ class StableStep:
     def _stages(self, s: int) -> list[Stage]:
         b, f = self.batch, self.batch.features
         own = {"s": s, "estimate": self._estimate}
-        gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds)
+        gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling)
         base = int(b.rows["spheres"][s])
-        return [
-            b.stage(begin_kernel(b.scalar), 1, **own),
-            *(
-                b.stage(gather, last - first, first=base + first, last=base + last, **own)
-                for first, last in pairwise(b.states[s].chunks)
-            ),
-            # Without bodies nothing bounds the step but its largest allowed size.
-            b.stage(reduce_kernel(b.scalar, f.pair_law, f.wall_law), b.states[s].body_count, **own),
-            b.stage(settle_kernel(b.scalar), 1, **own),
-        ]
+
+        def smallest(stiff: bool) -> list[Stage]:
+            return [
+                b.stage(begin_kernel(b.scalar), 1, **own),
+                *(
+                    b.stage(gather, last - first, first=base + first, last=base + last, stiff=stiff, **own)
+                    for first, last in pairwise(b.states[s].chunks)
+                ),
+                # Without bodies nothing bounds the step but its largest allowed size.
+                b.stage(
+                    reduce_kernel(b.scalar, f.pair_law, f.wall_law), b.states[s].body_count, stiff=stiff, **own
+                ),
+            ]  # fmt: skip
+
+        rounds = {"subcycled": b.subcycles.arrays}
+        stages = smallest(False) + [b.stage(settle_kernel(b.scalar, f.subcycling), 1, **own, **rounds)]
+        if f.subcycling:
+            stages = [*smallest(True), b.stage(keep_kernel(b.scalar), 1, **own, **rounds), *stages]
+        return stages
 
 
 def foreseen_speed(scene: Scene, horizon: float) -> float:

@@ -41,6 +41,8 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
             stages.append(b.stage(advance_kernel(b.scalar), b.wall_count))
         stages.append(_motion(b, *bodies))
         stages += meet
+        if f.subcycling:
+            stages += b.subcycles.stages(part)
         if part == 0:
             stages.append(b.stage(clock_kernel(b.scalar, f.growth), b.count))
         stages += meet
@@ -64,6 +66,7 @@ def _contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
         f.history,
         f.bonds,
         f.healing,
+        f.subcycling,
         together,
         f.dissipation,
         ways,
@@ -82,7 +85,8 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     """Motion of a chunk of bodies."""
     b, f = batch, batch.features
     if f.clumps:
-        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.dissipation)
+        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation)
+        return b.stage(kernel, tasks(b, last - first), first=first, last=last, subcycled=b.subcycles.arrays)
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
     return b.stage(kernel, tasks(b, last - first), first=first, last=last)

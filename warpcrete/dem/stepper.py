@@ -12,6 +12,7 @@ from ..core.run_loop import Coroutine, Until
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import FAILED, OVERFLOW, STALE, STEPS
 from ..kernels.dem.structs import DT_PREVIOUS, TIME
+from ..kernels.dem.subcycling import PART
 from ..kernels.dem.wall_motion import SPEED_LIMIT
 from .batch import Batch
 from .bonding import make_bonds, reassign_bonds
@@ -22,6 +23,7 @@ from .scene import Bonds, TimeStep
 from .scheduling import Steps, drive_one
 from .stable_step import StableStep, foreseen_speed
 from .state import State
+from .subcycling import MARGIN, rounds_for
 from .watch import unstable
 
 # Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
@@ -82,6 +84,7 @@ class Stepper:
         self.running = False  # until then an unstable fixed step is bad input, later an instability
         if resumed is not None:
             self.lists.builds[self.index], self._since_estimate = resumed["builds"], resumed["since_estimate"]
+            self.batch.subcycles.load_state_dict(self.index, resumed["subcycles"])
         if resumed is None or self.index in self.batch.rechunked:
             self.rebuild()
 
@@ -91,6 +94,7 @@ class Stepper:
             "skin": self.skin,
             "builds": int(self.lists.builds[self.index]),
             "since_estimate": self._since_estimate,
+            "subcycles": self.batch.subcycles.state_dict(self.index),
         }
 
     @property
@@ -134,7 +138,19 @@ class Stepper:
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
         """Give a random part of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
         self._since_estimate = math.inf
-        return reassign_bonds(self.model, self.state, old, new, fraction, seed)
+        made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
+        if self.batch.features.subcycling and made:
+            self._choose_rounds()
+        return made
+
+    def _choose_rounds(self) -> None:
+        """Step hydrated bonds in as many rounds as they need within a step of all else."""
+        subcycles, step = self.batch.subcycles, self.time_step
+        subcycles.collect(self.index)
+        all_else = self.estimate()  # as long as there are no rounds
+        dt = step.fixed or min(step.safety * PART * all_else, step.largest)
+        ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
+        subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
 
     def restart_clock(self) -> None:
         """Set time, step count and the walls' records to zero; the next kick is a half one."""

@@ -1,0 +1,221 @@
+"""Stiff bonds in rounds of their own within a step: which pairs and bodies, how many rounds, and their stages."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.launching import Stage
+from ..kernels.common.types import SPAN
+from ..kernels.dem.bond_parallel import HYDRATED
+from ..kernels.dem.structs import subcycled_struct
+from ..kernels.dem.subcycling import RELAXATION, body_kernels, locating_kernels, pair_kernel
+from .probes import listed_pairs
+
+MARGIN = 1.1
+"""Over the step at the start: so far it may grow before rounds bound it."""
+OF_PAIRS = ("lower", "higher", "active", "force", "lower_moment", "higher_moment", "lost", "outcome")
+"""Arrays of the pairs that the next step depends on, beside those of the state."""
+OF_BODIES = ("position", "orientation")
+"""Likewise of the bodies."""
+BODY_ARRAYS = ("body_scene", "body_number", "place", "other_force", "other_torque", *OF_BODIES)
+"""Arrays with a row for each body that has such pairs; most others have one for each pair."""
+
+
+def rounds_for(ratio: float) -> int:
+    """Rounds of a step that is so many times what stiff bonds alone, without their dashpots, can stand."""
+    damped = 0.5 * RELAXATION * ratio * ratio
+    return max(1, math.ceil(damped + math.hypot(damped, ratio)))
+
+
+class Subcycles:
+    """Pairs of a batch that are stepped in rounds, in the order of their spheres' permanent numbers."""
+
+    arrays: Any
+    """A struct `Subcycled`."""
+
+    def __init__(self, batch: Any) -> None:
+        """`batch` is the :class:`Batch` that has this."""
+        self.batch = batch
+        self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
+        self._rounds = np.zeros(batch.count, dtype=np.int32)
+        self._join()
+
+    @property
+    def rounds(self) -> int:
+        """Rounds of the scene that has most."""
+        return int(self._rounds.max(initial=0))
+
+    def collect(self, s: int) -> None:
+        """Take the hydrated bonds that scene `s` has now; no other scene changes."""
+        state = self.batch.states[s]
+        i, j, place = listed_pairs(state)
+        held = state.pairs.bond.numpy()[place] == int(HYDRATED)
+        number = state.spheres.id.numpy()
+        ends = np.stack([number[i[held]], number[j[held]]])
+        pairs = np.stack([ends.min(0), ends.max(0)])
+        pairs = pairs[:, np.lexsort(pairs[::-1])]
+        self._take(s, {"lower": pairs[0], "higher": pairs[1], "active": np.ones(pairs.shape[1], dtype=np.int32)})
+
+    def set_rounds(self, s: int, rounds: int) -> None:
+        """Step the pairs of scene `s` in so many rounds."""
+        self._rounds[s] = rounds
+        self.arrays.rounds.assign(self._rounds)
+        self.batch.invalidate_graphs()
+
+    def stable_step(self, s: int) -> float:
+        """Of these pairs alone, as last estimated, without safety factor [s]."""
+        return float(self.arrays.stable.numpy()[s])
+
+    # Checkpoints.
+
+    def state_dict(self, s: int) -> dict[str, Any]:
+        """What the next step of scene `s` depends on; empty without such pairs."""
+        found = self._values(s)
+        return {**found, "rounds": int(self._rounds[s])} if found else {}
+
+    def load_state_dict(self, s: int, found: dict[str, Any]) -> None:
+        """Go on from a `state_dict`."""
+        if found:
+            self._rounds[s] = found["rounds"]
+            self._take(s, {name: found[name] for name in (*OF_PAIRS, *OF_BODIES)})
+
+    def _values(self, s: int) -> dict[str, np.ndarray]:
+        """Values on the device of the pairs of a scene, and of its bodies that have some."""
+        if not self._of_scene[s]:
+            return {}
+        found = {}
+        for names, counts in ((OF_PAIRS, self._pairs), (OF_BODIES, self._bodies)):
+            first = sum(counts[:s])
+            for name in names:
+                found[name] = getattr(self.arrays, name).numpy()[first : first + counts[s]].copy()
+        return found
+
+    def _take(self, s: int, found: dict[str, np.ndarray]) -> None:
+        for other, each in enumerate(self._of_scene):
+            if other != s:
+                each.update(self._values(other))
+        self._of_scene[s] = found
+        self._join()
+        self.locate()
+        self.batch.invalidate_graphs()
+
+    # Arrays.
+
+    def _join(self) -> None:
+        """Arrays of all scenes, one after the other."""
+        b = self.batch
+        scenes = np.arange(b.count)
+        self._pairs = [len(each.get("lower", ())) for each in self._of_scene]
+        rows = [self._rows(s) for s in range(b.count)]
+        self._bodies = [len(number) for number, _, _ in rows]
+        given: dict[str, Any] = {
+            "rounds": self._rounds,
+            "stable": np.zeros(b.count),
+            "member": np.zeros(b.body_count if b.features.subcycling else 0),
+            "pair_scene": np.repeat(scenes, self._pairs),
+            "body_scene": np.repeat(scenes, self._bodies),
+            "body_number": np.concatenate([number for number, _, _ in rows]),
+            "start": np.append(0, np.cumsum(np.concatenate([counts for _, counts, _ in rows]))),
+            "ref": np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, _firsts(self._pairs))]),
+        }
+        for s, (number, _, _) in enumerate(rows):
+            if len(number):
+                self._place_bodies(s, number)
+        for name in (*OF_PAIRS, *OF_BODIES):
+            parts = [each[name] for each in self._of_scene if name in each]
+            if parts and sum(map(len, parts)) == sum(self._bodies if name in OF_BODIES else self._pairs):
+                given[name] = np.concatenate(parts)
+        self.arrays = subcycled_struct(b.scalar)()
+        for name, variable in subcycled_struct(b.scalar).vars.items():
+            count = sum(self._bodies if name in BODY_ARRAYS else self._pairs)
+            if name in given and len(given[name]):
+                array = wp.array(np.ascontiguousarray(given[name]), dtype=variable.type.dtype, device=b.device)
+            else:
+                array = wp.zeros(count if name not in given else 0, dtype=variable.type.dtype, device=b.device)
+            setattr(self.arrays, name, array)
+        self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
+        self._sphere_place = wp.zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+        self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+
+    def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Permanent numbers of a scene's bodies with such pairs, how many each has, and which."""
+        pairs = self._of_scene[s]
+        if not pairs:
+            return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+        state = self.batch.states[s]
+        body_of = np.empty(state.sphere_count, dtype=int)
+        body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
+        ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]  # pair by pair, as `ref` counts
+        number, counts = np.unique(ends, return_counts=True)
+        return number, counts, np.argsort(ends, kind="stable")
+
+    def _place_bodies(self, s: int, number: np.ndarray) -> None:
+        """Where bodies that have just come to have such pairs are."""
+        bodies = self.batch.states[s].bodies
+        where = np.argsort(bodies.id.numpy())[number]
+        for name in OF_BODIES:
+            self._of_scene[s].setdefault(name, getattr(bodies, name).numpy()[where])
+
+    # Launches.
+
+    def locate(self) -> None:
+        """Find everything again, after a rebuild of the lists."""
+        if self.pair_count:
+            for stage in self._locating():
+                stage()
+
+    def _locating(self) -> list[Stage]:
+        b = self.batch
+        kernels = locating_kernels(b.scalar, b.features.half_list)
+        own = {"subcycled": self.arrays, "sphere_place": self._sphere_place, "body_place": self._body_place}
+
+        def stage(kernel: Any, dim: int, *names: str) -> Stage:
+            return b.stage(kernel, dim, **{name: own[name] for name in names})
+
+        return [
+            stage(kernels.note_spheres, b.sphere_count, "sphere_place"),
+            stage(kernels.note_bodies, b.body_count, "body_place", "subcycled"),
+            stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
+            stage(kernels.locate_bodies, self.body_count, "body_place", "subcycled"),
+        ]
+
+    def kernels(self) -> list[Any]:
+        """Stages with all that it launches."""
+        if not self.batch.features.subcycling:
+            return []
+        return [*self._locating(), *self._round(0, 0), self._foreseeing(0)]
+
+    def stages(self, part: int) -> list[Any]:
+        """Rounds of a step, a thread's part of them."""
+        meet = self.batch.barrier()
+        rounds = [stage for turn in range(self.rounds) for stage in self._round(part, turn)]
+        return [each for stage in (*rounds, self._foreseeing(part)) for each in (stage, *meet)]
+
+    def _round(self, part: int, turn: int) -> list[Stage]:
+        b, f = self.batch, self.batch.features
+        move, _ = body_kernels(b.scalar, f.meshes, f.half_list, f.dissipation)
+        pairs = pair_kernel(b.scalar, f.pair_law, f.half_list, f.history, f.healing, f.dissipation)
+        return [
+            self._stage(move, part, self.body_count, turn=turn),
+            self._stage(pairs, part, self.pair_count, turn=turn),
+        ]
+
+    def _foreseeing(self, part: int) -> Stage:
+        b, f = self.batch, self.batch.features
+        _, foresee = body_kernels(b.scalar, f.meshes, f.half_list, f.dissipation)
+        return self._stage(foresee, part, self.body_count)
+
+    def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
+        """A launch over a thread's part of so many pairs or bodies."""
+        b = self.batch
+        first, last = count * part // b.threads, count * (part + 1) // b.threads
+        tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first
+        return b.stage(kernel, tasks, first=first, last=last, subcycled=self.arrays, **named)
+
+
+def _firsts(counts: list[int]) -> list[int]:
+    return [sum(counts[:s]) for s in range(len(counts))]
