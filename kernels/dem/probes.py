@@ -38,6 +38,14 @@ REACH = wp.constant(12)  # largest coordinate [m]
 BODY_COLUMNS = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
+# Columns of what is read of every wall.
+IMPULSE = wp.constant(0)  # ..5 [N s] and [N m s], about the wall's position
+FORCE = wp.constant(6)  # ..11 [N] and [N m]
+TURN = wp.constant(12)  # ..15 quaternion of the wall's frame
+TRAVEL = wp.constant(16)  # [m]
+WORK = wp.constant(17)  # [J]
+WALL_COLUMNS = 18
+
 LANES = 256  # partial sums of a column; their order, and so the bits of a sum, depends on the number of rows only
 
 
@@ -71,6 +79,27 @@ def column_kernels(maxima: tuple[int, ...]):
         sums[c] = total
 
     return partial, whole
+
+
+@functools.cache
+def wall_probe(scalar):
+    """Kernel over the walls of all scenes: a row of values each."""
+    Walls = array_structs(scalar).Walls
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def read_walls(walls: Walls, wall_values: wp.array2d(dtype=wp.float64)):
+        w = wp.tid()
+        for c in range(3):
+            wall_values[w, IMPULSE + c] = walls.impulse[w][c]
+            wall_values[w, IMPULSE + 3 + c] = walls.angular_impulse[w][c]
+            wall_values[w, FORCE + c] = walls.force[w][c]
+            wall_values[w, FORCE + 3 + c] = walls.moment[w][c]
+        for c in range(4):
+            wall_values[w, TURN + c] = wp.float64(walls.orientation[w][c])
+        wall_values[w, TRAVEL] = walls.travel[w]
+        wall_values[w, WORK] = walls.work[w]
+
+    return read_walls
 
 
 @functools.cache

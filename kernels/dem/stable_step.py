@@ -76,13 +76,16 @@ def stiffness_functions(scalar):
 
 @functools.cache
 def begin_kernel(scalar):
-    """One thread: nothing is known of scene `s` yet."""
+    """Kernel over scenes, of which those that are `due` count, as in all kernels here: nothing is known of them yet."""
     structs = array_structs(scalar)
     Scenes = structs.Scenes
     Estimate = estimate_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def begin_estimate(s: wp.int32, scenes: Scenes, estimate: Estimate):
+    def begin_estimate(due: wp.array(dtype=wp.int32), scenes: Scenes, estimate: Estimate):
+        s = wp.tid()
+        if due[s] == 0:
+            return
         estimate.smallest[s] = wp.float64(1.0e30)
         estimate.fastest[s] = scenes.row[s].foreseen_speed
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
@@ -187,9 +190,29 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
 
 
 @functools.cache
+def noting_functions(scalar):
+    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear."""
+    t = types(scalar)
+
+    @wp.func
+    def hurry(fastest: wp.array(dtype=wp.float64), s: wp.int32, speed: scalar):
+        # The plain read spares nearly all atomics; it may be old, never too high.
+        if wp.float64(speed) > fastest[s]:
+            wp.atomic_max(fastest, s, wp.float64(speed))
+
+    @wp.func
+    def load_wall(wall_load: wp.array2d(dtype=wp.int64), w: wp.int32, k: t.vec4):
+        # Whole numbers add up the same in any order.
+        wp.atomic_add(wall_load, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
+        wp.atomic_add(wall_load, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
+
+    return hurry, load_wall
+
+
+@functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool):
-    """Kernel over the spheres of a chunk of scene `s`: what their contacts add to `estimate`; with `stiff` those that
-    are stepped in rounds only.
+    """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
+    in rounds only.
 
     In the half list `first` and `last` bound the chunk of spheres whose pairs are counted.
     """
@@ -209,18 +232,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     shape = wall_functions(scalar)
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     xyz = vector_functions(scalar).xyz
-
-    @wp.func
-    def hurry(fastest: wp.array(dtype=wp.float64), s: wp.int32, speed: scalar):
-        # The plain read spares nearly all atomics; it may be old, never too high.
-        if wp.float64(speed) > fastest[s]:
-            wp.atomic_max(fastest, s, wp.float64(speed))
-
-    @wp.func
-    def load_wall(wall_load: wp.array2d(dtype=wp.int64), w: wp.int32, k: t.vec4):
-        # Whole numbers add up the same in any order.
-        wp.atomic_add(wall_load, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
-        wp.atomic_add(wall_load, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
+    hurry, load_wall = noting_functions(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
     def gather_stiffness(
@@ -230,7 +242,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
         # chunk
-        s: wp.int32,
+        due: wp.array(dtype=wp.int32),
+        begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
         stiff: wp.bool,
@@ -244,7 +257,10 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         # written
         estimate: Estimate,
     ):
-        i = first + wp.tid()
+        i = begin + wp.tid()
+        s = spheres.scene[i]
+        if due[s] == 0:
+            return
         zero = scalar(0.0)
         xi = xyz(spheres.position[i])
         radius_i = spheres.position[i][3]
@@ -334,7 +350,7 @@ def floor_function(scalar, pair_law, wall_law):
 
 @functools.cache
 def reduce_kernel(scalar, pair_law, wall_law):
-    """Kernel over the bodies of scene `s`: the smallest step that any of them allows; clears the sums."""
+    """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
@@ -352,7 +368,8 @@ def reduce_kernel(scalar, pair_law, wall_law):
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         # state, read
-        s: wp.int32,
+        due: wp.array(dtype=wp.int32),
+        begin: wp.int32,
         stiff: wp.bool,
         scenes: Scenes,
         bodies: Bodies,
@@ -360,7 +377,10 @@ def reduce_kernel(scalar, pair_law, wall_law):
         # written
         estimate: Estimate,
     ):
-        b = scenes.row[s].bodies + wp.tid()
+        b = begin + wp.tid()
+        s = bodies.scene[b]
+        if due[s] == 0:
+            return
         base = scenes.row[s].spheres
         materials = scenes.row[s].materials
         mass = bodies.mass[b]
@@ -409,11 +429,14 @@ def reduce_kernel(scalar, pair_law, wall_law):
 
 @functools.cache
 def keep_kernel(scalar):
-    """One thread: what has been found of scene `s` holds for the pairs that are stepped in rounds."""
+    """Kernel over scenes: what has been found holds for the pairs that are stepped in rounds."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def keep_stable(s: wp.int32, estimate: Estimate, subcycled: Subcycled):
+    def keep_stable(due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled):
+        s = wp.tid()
+        if due[s] == 0:
+            return
         subcycled.stable[s] = estimate.smallest[s]
 
     return keep_stable
@@ -421,13 +444,18 @@ def keep_kernel(scalar):
 
 @functools.cache
 def settle_kernel(scalar, subcycling: bool):
-    """One thread: the stable step of scene `s`, driven walls included, and the size of its next steps."""
+    """Kernel over scenes: the stable step, driven walls included, and the size of the next steps."""
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def settle_step(s: wp.int32, estimate: Estimate, subcycled: Subcycled, walls: Walls, scenes: Scenes):
+    def settle_step(
+        due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled, walls: Walls, scenes: Scenes
+    ):  # fmt: skip
+        s = wp.tid()
+        if due[s] == 0:
+            return
         one = wp.float64(1.0)
         step = estimate.smallest[s]
         if wp.static(subcycling):

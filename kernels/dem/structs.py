@@ -167,8 +167,10 @@ def array_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def subcycled_struct(scalar):
-    """Struct `Subcycled`: pairs that are stepped in rounds, and bodies that have such pairs."""
+    """Struct `Subcycled`: pairs that are stepped in rounds, and bodies that have such pairs. All that a round needs
+    stands here, row by row: a GPU waits for memory in each."""
     t = types(scalar)
+    Pairs = array_structs(scalar).Pairs
 
     @wp.struct
     class Subcycled:
@@ -177,25 +179,33 @@ def subcycled_struct(scalar):
         pair_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (pairs,) as the rest
         lower: wp.array(dtype=wp.int32)  # permanent numbers of the two spheres
         higher: wp.array(dtype=wp.int32)  # likewise
-        i: wp.array(dtype=wp.int32)  # where the lower sphere is now, in the batch
-        j: wp.array(dtype=wp.int32)  # where the higher one is
+        ends: wp.array(dtype=wp.vec4i)  # rows of the bodies of both, and their rows in `force`
+        lower_offset: wp.array(dtype=t.vec4)  # centre in the body's frame, radius [m]
+        higher_offset: wp.array(dtype=t.vec4)  # likewise
+        law: wp.array(dtype=wp.int32)  # row of the contact's parameters
         entry: wp.array(dtype=wp.int32)  # of the list, that holds the pair
         copy: wp.array(dtype=wp.int32)  # of the list, that holds it a second time, or -1
+        held: Pairs  # history and bonds, a row for each pair; those of the list follow at the end of a step
         active: wp.array(dtype=wp.int32)  # 0: the bond is broken, and the contact is one as all others
-        force: wp.array(dtype=t.vec3)  # on the lower sphere [N]
-        lower_moment: wp.array(dtype=t.vec3)  # about its centre [N m]
-        higher_moment: wp.array(dtype=t.vec3)  # on the other, about its own
-        lost: wp.array(dtype=wp.float64)  # energy, in the last round [J]
-        outcome: wp.array(dtype=wp.int32)  # 1, or how the bond broke in the last round
+        lost: wp.array(dtype=wp.float64)  # energy, in the rounds so far of the step [J]
+        outcome: wp.array(dtype=wp.int32)  # 1, or how the bond broke in this step
         body_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (bodies,) as the rest
         body_number: wp.array(dtype=wp.int32)  # permanent
         place: wp.array(dtype=wp.int32)  # where it is now, in the batch
-        start: wp.array(dtype=wp.int32)  # first entry of its row in `ref`, and the end, shape (bodies + 1,)
-        ref: wp.array(dtype=wp.int32)  # twice a pair's number, plus 1 where the body has its higher sphere
+        start: wp.array(dtype=wp.int32)  # first of its rows in `force` and `torque`, and the end, shape (bodies + 1,)
+        ref: wp.array(dtype=wp.int32)  # twice the pair's number, 1 more for its higher end, shape (2 pairs,)
+        mass: wp.array(dtype=scalar)  # [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
         position: wp.array(dtype=t.vec3)  # in the middle of a step, as the velocities of all bodies [m]
-        orientation: wp.array(dtype=t.quat)  # likewise
+        rounding: wp.array(dtype=t.vec3)  # what rounding took from the position so far [m]
+        orientation: wp.array(dtype=t.quat)  # from body to space
+        velocity: wp.array(dtype=t.vec3)  # [m/s]
+        spin: wp.array(dtype=t.vec3)  # in space [rad/s]
+        angular_momentum: wp.array(dtype=t.vec3)  # in space [kg m2/s]
         other_force: wp.array(dtype=t.vec3)  # of all but stiff pairs [N]
         other_torque: wp.array(dtype=t.vec3)  # about the centroid [N m]
+        force: wp.array(dtype=t.vec3)  # of each end of a pair on its body, body by body [N], shape (2 pairs,)
+        torque: wp.array(dtype=t.vec3)  # about the centroid [N m], shape (2 pairs,)
         member: wp.array(dtype=wp.int32)  # of every body of the batch: 1 + its row here, or 0
 
     return Subcycled

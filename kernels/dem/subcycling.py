@@ -22,6 +22,7 @@ import warp as wp
 from ..common.control import FAILED, HALTED, LATE
 from ..common.types import SPAN, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
+from .contacts import contact_options
 from .motion import motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
 from .search import find_function
@@ -34,7 +35,7 @@ RELAXATION = 0.01
 
 
 @functools.cache
-def locating_kernels(scalar, half: bool):
+def locating_kernels(scalar, half: bool, history: bool):
     """Kernels ``note_spheres``, ``note_bodies``, ``locate_pairs`` and ``locate_bodies``: where everything is after a
     rebuild of the lists."""
     structs = array_structs(scalar)
@@ -55,28 +56,43 @@ def locating_kernels(scalar, half: bool):
         subcycled.member[b] = 0
 
     @wp.kernel(module="unique", enable_backward=False)
-    def locate_pairs(scenes: Scenes, pairs: Pairs, sphere_place: wp.array(dtype=wp.int32), subcycled: Subcycled):
+    def locate_bodies(scenes: Scenes, bodies: Bodies, body_place: wp.array(dtype=wp.int32), subcycled: Subcycled):
+        q = wp.tid()
+        b = body_place[scenes.row[subcycled.body_scene[q]].bodies + subcycled.body_number[q]]
+        subcycled.place[q] = b
+        subcycled.member[b] = q + 1
+        subcycled.mass[q] = bodies.mass[b]
+        subcycled.inertia[q] = bodies.inertia[b]
+        subcycled.rounding[q] = bodies.rounding[b]
+        subcycled.velocity[q] = bodies.velocity[b]
+        subcycled.angular_momentum[q] = bodies.angular_momentum[b]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def locate_pairs(
+        scenes: Scenes, spheres: Spheres, pairs: Pairs, sphere_place: wp.array(dtype=wp.int32), subcycled: Subcycled
+    ):
         p = wp.tid()
         s = subcycled.pair_scene[p]
         base = scenes.row[s].spheres
         i = sphere_place[base + subcycled.lower[p]]
         j = sphere_place[base + subcycled.higher[p]]
-        subcycled.i[p] = i
-        subcycled.j[p] = j
+        subcycled.lower_offset[p] = spheres.offset[i]
+        subcycled.higher_offset[p] = spheres.offset[j]
+        row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
+        subcycled.law[p] = row + spheres.material[j]
         # A pair in two chunks, or in a full list, stands at both spheres: both entries must hold the same.
-        entry = find(pairs, s, base, scenes.row[s].pairs, i, j)
+        k = find(pairs, s, base, scenes.row[s].pairs, i, j)
         copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
-        subcycled.entry[p] = entry
-        subcycled.copy[p] = wp.where(copy == entry, -1, copy)
-        if entry < 0:  # parted, long after its bond broke
-            subcycled.active[p] = 0
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def locate_bodies(scenes: Scenes, body_place: wp.array(dtype=wp.int32), subcycled: Subcycled):
-        q = wp.tid()
-        b = body_place[scenes.row[subcycled.body_scene[q]].bodies + subcycled.body_number[q]]
-        subcycled.place[q] = b
-        subcycled.member[b] = q + 1
+        subcycled.entry[p] = k
+        subcycled.copy[p] = wp.where(copy == k, -1, copy)
+        subcycled.active[p] = 0
+        if k >= 0:  # else parted, long after its bond broke
+            subcycled.active[p] = wp.where(pairs.bond[k] == HYDRATED, 1, 0)
+            subcycled.held.bond[p] = pairs.bond[k]
+            subcycled.held.bond_force[p] = pairs.bond_force[k]
+            subcycled.held.bond_moment[p] = pairs.bond_moment[k]
+            if wp.static(history):
+                subcycled.held.history[p] = pairs.history[k]
 
     return SimpleNamespace(
         note_spheres=note_spheres, note_bodies=note_bodies, locate_pairs=locate_pairs, locate_bodies=locate_bodies
@@ -84,19 +100,87 @@ def locating_kernels(scalar, half: bool):
 
 
 @functools.cache
+def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
+    """`stiff_pair`: force [N] on the lower sphere of a pair and the bond's moment [N m]; it steps the pair's state."""
+    t = types(scalar)
+    Subcycled = subcycled_struct(scalar)
+    Parameters, contact_force = law.functions(scalar).Parameters, law.functions(scalar).force
+    Bond, bond_stiffness = bond_functions(scalar).Bond, bond_functions(scalar).bond_stiffness
+    pair = pair_functions(scalar)
+    PairTouch, Touch = pair.PairTouch, pair.Touch
+    bonded = bonded_function(scalar, False, dissipation)
+
+    @wp.func
+    def dashpots(p: Bond, touch: Touch, relative_spin: t.vec3, relaxation: scalar):
+        """Force and moment of a stiff bond's dashpots, and the power that they take [W]."""
+        c = relaxation * bond_stiffness(p, touch)
+        along = wp.dot(touch.velocity, touch.normal)
+        across = touch.velocity - along * touch.normal
+        twisting = wp.dot(relative_spin, touch.normal)
+        bending = relative_spin - twisting * touch.normal
+        power = c[0] * along * along + c[1] * wp.length_sq(across)
+        power += c[2] * wp.length_sq(bending) + c[3] * twisting * twisting
+        return (c[0] * along) * touch.normal + c[1] * across, c[2] * bending + (c[3] * twisting) * touch.normal, power
+
+    @wp.func
+    def stiff_pair(
+        subcycled: Subcycled, pair_parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond),
+        first_bond: wp.int32, p: wp.int32, pair: PairTouch, relative_spin: t.vec3, relaxation: scalar, dt: scalar,
+    ):  # fmt: skip
+        old_history = t.vec3()
+        if wp.static(history):
+            old_history = subcycled.held.history[p]
+        total, new_history, lost = contact_force(pair_parameters[subcycled.law[p]], pair.touch, old_history, dt)
+        moment = t.vec3()
+        if subcycled.held.bond[p] > 0:
+            total, moment, lost, outcome = bonded(
+                subcycled.held, bond_parameters, first_bond, p, pair, relative_spin, total, lost, dt
+            )
+            if outcome > 0:
+                damping, turning, power = dashpots(
+                    bond_parameters[first_bond + HYDRATED], pair.touch, relative_spin, relaxation
+                )
+                total = total + damping
+                moment = moment + turning
+                lost += dt * power
+            else:
+                subcycled.outcome[p] = outcome
+        elif pair.touch.gap >= scalar(0.0):
+            total = t.vec3()
+            new_history = t.vec3()
+            lost = scalar(0.0)
+        if wp.static(history):
+            subcycled.held.history[p] = new_history
+        if wp.static(dissipation):
+            subcycled.lost[p] = subcycled.lost[p] + wp.float64(lost)
+        return total, moment
+
+    return stiff_pair
+
+
+@functools.cache
 def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipation: bool):
     """Kernel over pairs: force and moments of contact and stiff bond after a round."""
     t, span = types(scalar), SPAN if half else 1
     structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
-    Parameters, contact_force = law.functions(scalar).Parameters, law.functions(scalar).force
+    Parameters = law.functions(scalar).Parameters
     Bond = bond_functions(scalar).Bond
     pair_touch = pair_functions(scalar).pair_touch
-    bonded = bonded_function(scalar, False, dissipation)
-    bond_stiffness = bond_functions(scalar).bond_stiffness
+    stiff_pair = stiff_pair_function(scalar, law, history, dissipation)
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    @wp.func
+    def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, k: wp.int32):
+        """Bring an entry of the list up to date."""
+        pairs.bond[k] = subcycled.held.bond[p]
+        pairs.bond_force[k] = subcycled.held.bond_force[p]
+        pairs.bond_moment[k] = subcycled.held.bond_moment[p]
+        if wp.static(history):
+            pairs.history[k] = subcycled.held.history[p]
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(half))
     def subcycle_pairs(
         # model
         pair_parameters: wp.array(dtype=Parameters),
@@ -108,7 +192,6 @@ def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipati
         # state, read
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        spheres: Spheres,
         # state, read and written
         pairs: Pairs,
         subcycled: Subcycled,
@@ -119,111 +202,91 @@ def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipati
             rounds = subcycled.rounds[s]
             if flags[s, HALTED] != 0 or turn >= rounds or subcycled.active[p] == 0:
                 continue
-            dt = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
-            i, j, k = subcycled.i[p], subcycled.j[p], subcycled.entry[p]
-            spin_i, spin_j = spheres.spin[i], spheres.spin[j]
+            step = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS])
+            dt = step / scalar(rounds)
+            ends = subcycled.ends[p]
+            a, b = ends[0], ends[1]
+            arm_a = wp.quat_rotate(subcycled.orientation[a], xyz(subcycled.lower_offset[p]))
+            arm_b = wp.quat_rotate(subcycled.orientation[b], xyz(subcycled.higher_offset[p]))
+            spin_a, spin_b = subcycled.spin[a], subcycled.spin[b]
             pair = pair_touch(
-                spheres.position[i], spheres.velocity[i], spin_i, spheres.position[j], spheres.velocity[j], spin_j,
+                pack(subcycled.position[a] + arm_a, subcycled.lower_offset[p][3]),
+                pack(subcycled.velocity[a] + wp.cross(spin_a, arm_a), subcycled.mass[a]), spin_a,
+                pack(subcycled.position[b] + arm_b, subcycled.higher_offset[p][3]),
+                pack(subcycled.velocity[b] + wp.cross(spin_b, arm_b), subcycled.mass[b]), spin_b,
                 scalar(1.0), dt,
             )  # fmt: skip
-            touch = pair.touch
-            n = touch.normal
-            row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-            old_history = t.vec3()
-            if wp.static(history):
-                old_history = pairs.history[k]
-            total, new_history, lost = contact_force(pair_parameters[row + spheres.material[j]], touch, old_history, dt)
-            relative_spin = spin_j - spin_i
-            bond_moment = t.vec3()
-            outcome = wp.int32(1)
-            if pairs.bond[k] > 0:
-                total, bond_moment, lost, outcome = bonded(
-                    pairs, bond_parameters, scenes.row[s].bonds, k, pair, relative_spin, total, lost, dt
-                )
-                if outcome > 0:
-                    relaxation = scalar(RELAXATION) * scalar(rounds) * dt
-                    c = relaxation * bond_stiffness(bond_parameters[scenes.row[s].bonds + HYDRATED], touch)
-                    along = wp.dot(touch.velocity, n)
-                    across = touch.velocity - along * n
-                    twisting = wp.dot(relative_spin, n)
-                    bending = relative_spin - twisting * n
-                    total = total + (c[0] * along) * n + c[1] * across
-                    bond_moment = bond_moment + c[2] * bending + (c[3] * twisting) * n
-                    if wp.static(dissipation):
-                        rate = c[0] * along * along + c[1] * wp.length_sq(across)
-                        lost += dt * (rate + c[2] * wp.length_sq(bending) + c[3] * twisting * twisting)
-            elif touch.gap >= scalar(0.0):
-                total = t.vec3()
-                new_history = t.vec3()
-                lost = scalar(0.0)
-            if wp.static(history):
-                pairs.history[k] = new_history
+            total, moment = stiff_pair(
+                subcycled, pair_parameters, bond_parameters, scenes.row[s].bonds, p, pair, spin_b - spin_a,
+                scalar(RELAXATION) * step, dt,
+            )  # fmt: skip
             if turn + 1 == rounds:
-                if pairs.bond[k] <= 0:  # the next step's contacts have it
+                if subcycled.held.bond[p] <= 0:  # the next step's contacts have it
                     subcycled.active[p] = 0
                     total = t.vec3()
-                    bond_moment = t.vec3()
+                    moment = t.vec3()
                     if wp.static(healing):
-                        if touch.gap >= scalar(0.0):
-                            pairs.bond[k] = 0
-                copy = subcycled.copy[p]
-                if copy >= 0:
-                    pairs.bond[copy] = pairs.bond[k]
-                    pairs.bond_force[copy] = pairs.bond_force[k]
-                    pairs.bond_moment[copy] = pairs.bond_moment[k]
-                    if wp.static(history):
-                        pairs.history[copy] = pairs.history[k]
-            bent = wp.cross(n, total)
-            subcycled.force[p] = total
-            subcycled.lower_moment[p] = pair.arm_i * bent + bond_moment
-            subcycled.higher_moment[p] = pair.arm_j * bent - bond_moment
-            subcycled.outcome[p] = outcome
-            if wp.static(dissipation):
-                subcycled.lost[p] = wp.float64(lost)
+                        if pair.touch.gap >= scalar(0.0):
+                            subcycled.held.bond[p] = 0  # may bond again at the next touch
+                keep(pairs, subcycled, p, subcycled.entry[p])
+                if subcycled.copy[p] >= 0:
+                    keep(pairs, subcycled, p, subcycled.copy[p])
+            bent = wp.cross(pair.touch.normal, total)
+            subcycled.force[ends[2]] = total
+            subcycled.torque[ends[2]] = pair.arm_i * bent + moment + wp.cross(arm_a, total)
+            subcycled.force[ends[3]] = -total
+            subcycled.torque[ends[3]] = pair.arm_j * bent - moment - wp.cross(arm_b, total)
 
     return subcycle_pairs
 
 
 @functools.cache
+def kick_functions(scalar, dissipation: bool):
+    """`kicked` and `book`: what forces do to a body, and what its stiff bonds took."""
+    Spheres = array_structs(scalar).Spheres
+    Subcycled = subcycled_struct(scalar)
+    count_broken = broken_function(scalar)
+
+    @wp.func
+    def kicked(subcycled: Subcycled, q: wp.int32, kick: scalar):
+        """Velocity and angular momentum after all forces have acted for `kick` [s]."""
+        total = subcycled.other_force[q]
+        torque = subcycled.other_torque[q]
+        for place in range(subcycled.start[q], subcycled.start[q + 1]):
+            total += subcycled.force[place]
+            torque += subcycled.torque[place]
+        velocity = subcycled.velocity[q] + (kick / subcycled.mass[q]) * total
+        return velocity, subcycled.angular_momentum[q] + kick * torque
+
+    @wp.func
+    def book(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
+        """Note at sphere i of a body what its bonds took, and how they broke; each pair counts at its lower end."""
+        for place in range(subcycled.start[q], subcycled.start[q + 1]):
+            if subcycled.ref[place] % 2 == 0:
+                p = subcycled.ref[place] / 2
+                if subcycled.outcome[p] < 0:
+                    count_broken(spheres, i, subcycled.outcome[p])
+                    subcycled.outcome[p] = 1
+                if wp.static(dissipation):
+                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + subcycled.lost[p]
+                    subcycled.lost[p] = wp.float64(0.0)
+
+    return kicked, book
+
+
+@functools.cache
 def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
     """Kernels over bodies with stiff bonds: ``subcycle_bodies``, one round's motion, and ``foresee_bodies`` after the
-    last: where they will be at the end of the step."""
+    last: where they will be at the end of the step, and what their bonds took in it."""
     span = SPAN if half else 1
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
     Subcycled = subcycled_struct(scalar)
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
-    motion = motion_functions(scalar, dissipation)
+    motion = motion_functions(scalar, False)
     moved_on, drift_of, outgrows_lists = motion.moved_on, motion.drift_of, motion.outgrows_lists
-    count_broken = broken_function(scalar)
-
-    @wp.func
-    def kicked(scenes: Scenes, bodies: Bodies, spheres: Spheres, subcycled: Subcycled, q: wp.int32, kick: scalar):
-        """Velocity and angular momentum after all forces have acted for `kick` [s]; counts what stiff bonds took."""
-        b = subcycled.place[q]
-        total = subcycled.other_force[q]
-        torque = subcycled.other_torque[q]
-        x = subcycled.position[q]
-        for place in range(subcycled.start[q], subcycled.start[q + 1]):
-            p = subcycled.ref[place] / 2
-            if subcycled.ref[place] % 2 == 0:
-                i = subcycled.i[p]
-                force = subcycled.force[p]
-                total += force
-                torque += subcycled.lower_moment[p] + wp.cross(xyz(spheres.position[i]) - x, force)
-                if wp.static(dissipation):
-                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + subcycled.lost[p]
-                    subcycled.lost[p] = wp.float64(0.0)
-                if subcycled.outcome[p] < 0:
-                    count_broken(spheres, i, subcycled.outcome[p])
-                    subcycled.outcome[p] = 1
-            else:
-                force = -subcycled.force[p]
-                total += force
-                arm = xyz(spheres.position[subcycled.j[p]]) - x
-                torque += subcycled.higher_moment[p] + wp.cross(arm, force)
-        return bodies.velocity[b] + total * (kick / bodies.mass[b]), bodies.angular_momentum[b] + kick * torque
+    kicked, book = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
@@ -235,8 +298,6 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         # state, read and written
-        bodies: Bodies,
-        spheres: Spheres,
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * wp.static(span)
@@ -245,31 +306,19 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
             rounds = subcycled.rounds[s]
             if flags[s, HALTED] != 0 or turn >= rounds:
                 continue
-            b = subcycled.place[q]
             dt = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
             kick = dt
             if turn == 0:
-                # Stiff pairs stood at the real places of their spheres when they last were computed.
                 kick = scalar(0.5) * dt
-                begin = scenes.row[s].spheres + bodies.first[b + s]
-                for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
-                    arm = wp.quat_rotate(subcycled.orientation[q], xyz(spheres.offset[i]))
-                    spheres.position[i] = pack(subcycled.position[q] + arm, spheres.offset[i][3])
-            velocity, angular_momentum = kicked(scenes, bodies, spheres, subcycled, q, kick)
-            x, rounding = moved_on(subcycled.position[q], dt * velocity, bodies.rounding[b])
-            spin = spin_at_middle(subcycled.orientation[q], angular_momentum, bodies.inertia[b], dt)
-            orientation = wp.normalize(turned(subcycled.orientation[q], dt * spin))
-            bodies.rounding[b] = rounding
-            bodies.velocity[b] = velocity
-            bodies.angular_momentum[b] = angular_momentum
+            velocity, angular_momentum = kicked(subcycled, q, kick)
+            x, rounding = moved_on(subcycled.position[q], dt * velocity, subcycled.rounding[q])
+            spin = spin_at_middle(subcycled.orientation[q], angular_momentum, subcycled.inertia[q], dt)
+            subcycled.orientation[q] = wp.normalize(turned(subcycled.orientation[q], dt * spin))
+            subcycled.rounding[q] = rounding
             subcycled.position[q] = x
-            subcycled.orientation[q] = orientation
-            begin = scenes.row[s].spheres + bodies.first[b + s]
-            for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
-                arm = wp.quat_rotate(orientation, xyz(spheres.offset[i]))
-                spheres.position[i] = pack(x + arm, spheres.offset[i][3])
-                spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), bodies.mass[b])
-                spheres.spin[i] = spin
+            subcycled.velocity[q] = velocity
+            subcycled.angular_momentum[q] = angular_momentum
+            subcycled.spin[q] = spin
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
@@ -293,28 +342,32 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
             b = subcycled.place[q]
             ahead = scalar(0.5) * scalar(scenes.clock[s, DT])
             kick = scalar(0.25) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
-            velocity, angular_momentum = kicked(scenes, bodies, spheres, subcycled, q, kick)
+            velocity, angular_momentum = kicked(subcycled, q, kick)
             if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
                 if flags[s, FAILED] == 0:
                     flags[s, FAILED] = 1 + b - scenes.row[s].bodies
                 continue
-            spin = spin_at_middle(subcycled.orientation[q], angular_momentum, bodies.inertia[b], ahead)
+            subcycled.velocity[q] = velocity
+            subcycled.angular_momentum[q] = angular_momentum
+            spin = spin_at_middle(subcycled.orientation[q], angular_momentum, subcycled.inertia[q], ahead)
             orientation = wp.normalize(turned(subcycled.orientation[q], ahead * spin))
             x = subcycled.position[q] + ahead * velocity
             bodies.position[b] = x
+            bodies.rounding[b] = subcycled.rounding[q]
             bodies.orientation[b] = orientation
             bodies.velocity[b] = velocity
             bodies.angular_momentum[b] = angular_momentum
             bodies.spin[b] = spin
             drift = drift_of(scenes, s)
             begin = scenes.row[s].spheres + bodies.first[b + s]
+            book(subcycled, spheres, q, begin)
             for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
                 offset = spheres.offset[i]
                 arm = wp.quat_rotate(orientation, xyz(offset))
                 if outgrows_lists(scenes, s, x + arm, offset[3], spheres.built[i], drift, wp.static(meshes)):
                     flags[s, LATE] = 1
                 spheres.position[i] = pack(x + arm, offset[3])
-                spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), bodies.mass[b])
+                spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), subcycled.mass[q])
                 spheres.spin[i] = spin
 
     return subcycle_bodies, foresee_bodies

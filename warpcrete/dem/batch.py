@@ -22,6 +22,7 @@ from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
 from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
+from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
 from ..kernels.dem.structs import array_structs, scene_struct
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
@@ -37,7 +38,7 @@ PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
 thirds to the whole of one's time at a thousand spheres, one to two and a half times it at half as many."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
-BATCH_LAUNCH = 16  # steps in flight before scenes that halted are looked after, where there are several
+BATCH_LAUNCH = 32  # steps in flight before scenes that halted are looked after, where there are several
 
 
 def batch_key(model: Model) -> tuple:
@@ -128,6 +129,8 @@ class Batch:
         self.goals = np.zeros(self.count, dtype=int)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
+        self._walls: np.ndarray | None = None
+        self._wall_reading: Stage | None = None
         self._unsent = False
         self._step: list[list[Any]] | None = None
         self._sync: Stage | None = None
@@ -324,6 +327,7 @@ class Batch:
         self.version += 1
         self._step = None
         self._sync = None
+        self._wall_reading = None
 
     def use_step(self, step: list[list[Any]]) -> None:
         """Take the stages of one step, a list for each thread; good until `has_step` says otherwise."""
@@ -356,6 +360,18 @@ class Batch:
             clock = self._clock = self._read(self.scenes.clock)
         return clock
 
+    def host_walls(self, s: int) -> np.ndarray:
+        """What is read of the walls of a scene, as they are on the device: columns of `kernels/dem/probes.py`."""
+        if self._walls is None:
+            if self._wall_reading is None:
+                self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
+                reading = {"walls": self.walls, "wall_values": self._wall_values}
+                self._wall_reading = Stage(wall_probe(self.scalar), self.wall_count, reading, self.device)
+            self._wall_reading()
+            self._walls = self._wall_values.numpy().copy()
+        first = int(self.rows["walls"][s])
+        return self._walls[first : first + int(self.rows["wall_count"][s])]
+
     def _read(self, array: wp.array) -> np.ndarray:
         # On a CPU the array itself, which is always up to date.
         return array.numpy().copy() if self.parallel else array.numpy()
@@ -366,6 +382,7 @@ class Batch:
             if self._unsent:
                 self.flags.assign(self._flags)
             self._flags = self._clock = None
+        self._walls = None
         self._unsent = False
 
     def launch(self) -> np.ndarray:

@@ -27,6 +27,7 @@ def _others(batch: Batch) -> list[Any]:
     f, scalar = batch.features, batch.scalar
     found = [
         probes.body_probe(scalar),
+        probes.wall_probe(scalar),
         probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
         *probes.column_kernels(probes.BODY_MAXIMA),
         *probes.column_kernels(probes.CONTACT_MAXIMA),

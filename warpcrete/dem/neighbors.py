@@ -77,7 +77,8 @@ class NeighborLists:
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
         self._place = zeros(n if f.half_list else 0)
         self._wanted = zeros(batch.threads)
-        self._searchers = OCTANTS if batch.device.is_cuda and n < MANY else 1
+        # Of a batch one scene or a few are searched at a time.
+        self._searchers = OCTANTS if batch.device.is_cuda and n < MANY * scenes else 1
         self._shares = zeros(n * self._searchers if self._searchers > 1 else 0)
         self._boxes = zeros((batch.threads, 2), t.vec3)
         self._total, self._face_total = zeros(scenes), zeros(scenes)
@@ -107,7 +108,7 @@ class NeighborLists:
             self._sort(due)
         self.builds[stale] += 1
         wp.copy(self._old.start, b.pairs.start)
-        self._keep_old()
+        self._keep_old(np.flatnonzero(stale))
         launches = self._launches(sort)
         launches.centres()
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
@@ -124,7 +125,7 @@ class NeighborLists:
         wanted = self._starts(launches.starts, self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
-            self._keep_old()  # the scenes' places in the pair arrays are others now
+            self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
             launches = self._launches(sort)
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
@@ -147,8 +148,8 @@ class NeighborLists:
     def kernels(self) -> list[Any]:
         """Kernels and stages of all that it launches."""
         b = self.batch
-        self._keep_old()
-        each = self._record(False)
+        self._keep_old(np.arange(b.count))
+        each = self._launches(False)
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         return [
@@ -184,8 +185,8 @@ class NeighborLists:
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()
 
-    def _keep_old(self) -> None:
-        """Copy of the list that the new one takes history from."""
+    def _keep_old(self, scenes: np.ndarray) -> None:
+        """Copy of the lists of some scenes, that their new ones take history from."""
         b = self.batch
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
@@ -198,7 +199,13 @@ class NeighborLists:
                 kept = wp.empty(len(array), dtype=array.dtype, device=b.device)
                 setattr(self._old, name, kept)
                 self._recorded.clear()
-            wp.copy(kept, array, count=b.states[0].pair_total if b.count == 1 else len(array))
+            if 4 * len(scenes) > b.count > 1:
+                wp.copy(kept, array)
+                continue
+            for s in scenes:
+                first, count = int(b.rows["pairs"][s]), b.states[s].pair_total
+                if count:  # else `copy` takes all
+                    wp.copy(kept, array, first, first, count)
 
     def _launches(self, sorted_now: bool) -> _Launches:
         """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now."""

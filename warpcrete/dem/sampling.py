@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.rotation import rotate
 from ..geometry.walls import Wall
+from ..kernels.dem.probes import FORCE, IMPULSE, TRAVEL, TURN, WORK
 from ..kernels.dem.structs import DT, DT_PREVIOUS, TIME
 from .model import Model
 from .probes import body_sums, contact_sums
@@ -97,15 +98,15 @@ class Sampler:
         """Measure, and append a row."""
         model, state, scene = self.model, self.state, self.model.scene
         bodies, contacts = body_sums(model, state), contact_sums(model, state)
-        clock = state.scenes.clock.numpy()[0]
-        impulse = self._forces(clock, bodies.drive_power)
-        row = {"time": float(clock[int(TIME)])} | self._pressure()
+        clock, walls = state.batch.host_clock()[state.index], state.batch.host_walls(state.index)
+        impulse = self._forces(clock, walls, bodies.drive_power)
+        row = {"time": float(clock[int(TIME)])} | self._pressure(walls)
         row |= {
             "kinetic_energy": bodies.kinetic_energy,
             "potential_energy": bodies.potential_energy,
             "elastic_energy": contacts.elastic_energy,
             "bond_energy": contacts.bond_energy,
-            "wall_work": float(state.walls.work.numpy().sum()),
+            "wall_work": float(walls[:, int(WORK)].sum()),
             "drive_work": self._drive_work,
         }
         if model.features.dissipation:
@@ -133,14 +134,13 @@ class Sampler:
         self.rows.append(row)
         return row
 
-    def _forces(self, clock: np.ndarray, drive_power: float) -> np.ndarray:
+    def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
         """Impulses on all walls so far, shape (walls, 6); brings their mean forces and the drives' work up to date."""
-        walls = self.state.walls
-        impulse = _joined(walls.impulse, walls.angular_impulse)
+        impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
         # Forces have acted up to the middle of the last step.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
-            self._mean = _joined(walls.force, walls.moment)
+            self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()
         elif half_time > self._half_time:
             span = half_time - self._half_time
             self._mean = (impulse - self._impulse) / span
@@ -148,19 +148,15 @@ class Sampler:
         self._impulse, self._half_time, self._power = impulse, half_time, drive_power
         return impulse
 
-    def _pressure(self) -> dict[str, float]:
+    def _pressure(self, walls: np.ndarray) -> dict[str, float]:
         """Travel and pressure of the wall that the scene's probe names."""
-        probe, walls = self.model.scene.pressure, self.state.walls
+        probe = self.model.scene.pressure
         if probe is None:
             return {}
         number = next(k for k, wall in enumerate(self.model.walls) if wall.name == probe.wall)
-        turn = walls.orientation.numpy().reshape(-1, 4)[number].astype(float)
+        turn = walls[number, int(TURN) : int(TURN) + 4]
         normal = rotate(turn[None], np.array([self.model.walls[number].normal]))[0]  # type: ignore[union-attr]
         return {
-            "travel": float(walls.travel.numpy()[number]),
+            "travel": float(walls[number, int(TRAVEL)]),
             "pressure": float(-self._mean[number, :3] @ normal / probe.area),
         }
-
-
-def _joined(forces: Any, moments: Any) -> np.ndarray:
-    return np.concatenate([forces.numpy().reshape(-1, 3), moments.numpy().reshape(-1, 3)], axis=1)

@@ -39,48 +39,78 @@ class StableStep:
         self._estimate.wall_load = zeros("wall_load", (batch.wall_count, 2))
         self._estimate.smallest = zeros("smallest", batch.count)
         self._estimate.fastest = zeros("fastest", batch.count)
+        self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._due_before = np.zeros(batch.count, dtype=np.int32)
         self._recorded: dict[int, list[Stage]] = {}
         self._version = -1
+        self._known: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate for scene number `s`."""
+        """Estimate for scene number `s`, unless that is done already."""
+        if s in self._known:
+            self._known.discard(s)
+            return
+        self._estimate_for([s])
+
+    def foresee(self, scenes: list[int]) -> None:
+        """Estimate for scenes that will want it before the next step; a GPU does all in the time of one."""
+        if len(scenes) > 1 and self.batch.parallel:
+            self._estimate_for(scenes)
+            self._known = set(scenes)
+
+    def forget(self) -> None:
+        """What was foreseen, and nobody asked for, holds no more."""
+        self._known.clear()
+
+    def _estimate_for(self, scenes: list[int]) -> None:
         if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
             self._recorded.clear()
             self._version = self.batch.version
-        if s not in self._recorded:
-            self._recorded[s] = self._stages(s)
+        # A CPU goes through the spheres of one scene, chunk by chunk.
+        which = -1 if self.batch.parallel else scenes[0]
+        if which not in self._recorded:
+            self._recorded[which] = self._stages(which)
+        due = np.zeros(self.batch.count, dtype=np.int32)
+        due[scenes] = 1
+        if not np.array_equal(due, self._due_before):
+            self._due.assign(due)
+            self._due_before = due
         self.batch.device_changed()
-        for stage in self._recorded[s]:
+        for stage in self._recorded[which]:
             stage()
         self.batch.device_changed()
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
-        return self._stages(0)
+        return self._stages(-1 if self.batch.parallel else 0)
 
-    def _stages(self, s: int) -> list[Stage]:
+    def _stages(self, which: int) -> list[Stage]:
+        """Stages for one scene, or (-1) for all that are due."""
         b, f = self.batch, self.batch.features
-        own = {"s": s, "estimate": self._estimate}
+        own = {"due": self._due, "estimate": self._estimate}
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling)
-        base = int(b.rows["spheres"][s])
+        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law)
+        spheres, bodies = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
+        chunks, count = list(pairwise(b.states[which].chunks)), b.states[which].body_count
+        if which < 0:
+            spheres, bodies, chunks, count = 0, 0, [(0, b.sphere_count)], b.body_count
 
         def smallest(stiff: bool) -> list[Stage]:
             return [
-                b.stage(begin_kernel(b.scalar), 1, **own),
+                b.stage(begin_kernel(b.scalar), b.count, **own),
                 *(
-                    b.stage(gather, last - first, first=base + first, last=base + last, stiff=stiff, **own)
-                    for first, last in pairwise(b.states[s].chunks)
+                    b.stage(gather, last - first, begin=spheres + first, first=spheres + first, last=spheres + last,
+                            stiff=stiff, **own)
+                    for first, last in chunks
                 ),
                 # Without bodies nothing bounds the step but its largest allowed size.
-                b.stage(
-                    reduce_kernel(b.scalar, f.pair_law, f.wall_law), b.states[s].body_count, stiff=stiff, **own
-                ),
+                b.stage(reduce, count, begin=bodies, stiff=stiff, **own),
             ]  # fmt: skip
 
         rounds = {"subcycled": b.subcycles.arrays}
-        stages = smallest(False) + [b.stage(settle_kernel(b.scalar, f.subcycling), 1, **own, **rounds)]
+        stages = [*smallest(False), b.stage(settle_kernel(b.scalar, f.subcycling), b.count, **own, **rounds)]
         if f.subcycling:
-            stages = [*smallest(True), b.stage(keep_kernel(b.scalar), 1, **own, **rounds), *stages]
+            stages = [*smallest(True), b.stage(keep_kernel(b.scalar), b.count, **own, **rounds), *stages]
         return stages
 
 

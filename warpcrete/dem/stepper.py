@@ -63,7 +63,7 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        self.lists, self._estimate, self.index = among
+        self.lists, self.stable_step, self.index = among
         self.batch = self.lists.batch
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
         self.skin = SKIN[kind] * state.mean_radius if skin is None else skin
@@ -80,6 +80,7 @@ class Stepper:
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         self._since_estimate = math.inf
+        self._taken = 0
         self._foreseen = -1.0, 0.0
         self.running = False  # until then an unstable fixed step is bad input, later an instability
         if resumed is not None:
@@ -180,7 +181,7 @@ class Stepper:
     def estimate(self) -> float:
         """The stable step as things are now, without safety factor [s]; infinite for a state without bodies."""
         self._set_step()
-        self._estimate(self.index)
+        self.stable_step(self.index)
         return self.state.stable_step if self.state.body_count else math.inf
 
     def _set_step(self) -> None:
@@ -239,8 +240,14 @@ class Stepper:
             self.choose_dt()
         if count > 0:
             self.batch.goal(self.index, self.steps + count)
+            self._taken = count
             yield
         self._since_estimate += count
+
+    def wants_estimate(self) -> bool:
+        """Whether, having reached its goal, it will estimate the step before anything else."""
+        self._set_step()
+        return self._since_estimate + self._taken >= self.time_step.interval
 
     def advance(self, until: float) -> None:
         """Step until the simulated time reaches `until` [s], to within one step."""

@@ -14,15 +14,19 @@ from ..kernels.dem.bond_parallel import HYDRATED
 from ..kernels.dem.structs import subcycled_struct
 from ..kernels.dem.subcycling import RELAXATION, body_kernels, locating_kernels, pair_kernel
 from .probes import listed_pairs
+from .state import pair_bytes
 
 MARGIN = 1.1
 """Over the step at the start: so far it may grow before rounds bound it."""
-OF_PAIRS = ("lower", "higher", "active", "force", "lower_moment", "higher_moment", "lost", "outcome")
-"""Arrays of the pairs that the next step depends on, beside those of the state."""
 OF_BODIES = ("position", "orientation")
-"""Likewise of the bodies."""
-BODY_ARRAYS = ("body_scene", "body_number", "place", "other_force", "other_torque", *OF_BODIES)
-"""Arrays with a row for each body that has such pairs; most others have one for each pair."""
+"""Arrays of the bodies that the next step depends on, beside those of the state."""
+OF_ENDS = ("force", "torque")
+"""Likewise of the ends of pairs."""
+BODY_ARRAYS = (
+    "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
+    "other_force", "other_torque", *OF_BODIES,
+)  # fmt: skip
+"""Arrays with a row for each body that has such pairs; `OF_ENDS` have two for each pair, most others one."""
 
 
 def rounds_for(ratio: float) -> int:
@@ -58,7 +62,7 @@ class Subcycles:
         ends = np.stack([number[i[held]], number[j[held]]])
         pairs = np.stack([ends.min(0), ends.max(0)])
         pairs = pairs[:, np.lexsort(pairs[::-1])]
-        self._take(s, {"lower": pairs[0], "higher": pairs[1], "active": np.ones(pairs.shape[1], dtype=np.int32)})
+        self._take(s, {"lower": pairs[0], "higher": pairs[1]})
 
     def set_rounds(self, s: int, rounds: int) -> None:
         """Step the pairs of scene `s` in so many rounds."""
@@ -81,17 +85,19 @@ class Subcycles:
         """Go on from a `state_dict`."""
         if found:
             self._rounds[s] = found["rounds"]
-            self._take(s, {name: found[name] for name in (*OF_PAIRS, *OF_BODIES)})
+            self._take(s, {name: found[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
         """Values on the device of the pairs of a scene, and of its bodies that have some."""
         if not self._of_scene[s]:
             return {}
-        found = {}
-        for names, counts in ((OF_PAIRS, self._pairs), (OF_BODIES, self._bodies)):
-            first = sum(counts[:s])
-            for name in names:
-                found[name] = getattr(self.arrays, name).numpy()[first : first + counts[s]].copy()
+        pairs = self._of_scene[s]
+        found = {name: pairs[name] for name in ("lower", "higher")}
+        bodies, ends = sum(self._bodies[:s]), 2 * sum(self._pairs[:s])
+        for name in OF_BODIES:
+            found[name] = getattr(self.arrays, name).numpy()[bodies : bodies + self._bodies[s]].copy()
+        for name in OF_ENDS:
+            found[name] = getattr(self.arrays, name).numpy()[ends : ends + 2 * self._pairs[s]].copy()
         return found
 
     def _take(self, s: int, found: dict[str, np.ndarray]) -> None:
@@ -108,36 +114,44 @@ class Subcycles:
     def _join(self) -> None:
         """Arrays of all scenes, one after the other."""
         b = self.batch
-        scenes = np.arange(b.count)
         self._pairs = [len(each.get("lower", ())) for each in self._of_scene]
         rows = [self._rows(s) for s in range(b.count)]
         self._bodies = [len(number) for number, _, _ in rows]
+        first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
+        ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
+        counts = np.concatenate([counts for _, counts, _ in rows])
+        # Of both ends of each pair: the row of the body, and the row among all ends, body by body.
+        ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, Any] = {
             "rounds": self._rounds,
             "stable": np.zeros(b.count),
             "member": np.zeros(b.body_count if b.features.subcycling else 0),
-            "pair_scene": np.repeat(scenes, self._pairs),
-            "body_scene": np.repeat(scenes, self._bodies),
+            "pair_scene": np.repeat(np.arange(b.count), self._pairs),
+            "body_scene": np.repeat(np.arange(b.count), self._bodies),
             "body_number": np.concatenate([number for number, _, _ in rows]),
-            "start": np.append(0, np.cumsum(np.concatenate([counts for _, counts, _ in rows]))),
-            "ref": np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, _firsts(self._pairs))]),
+            "start": np.concatenate([[0], np.cumsum(counts)]),
+            "ref": ref,
+            "ends": ends.reshape(-1, 2, 2).transpose(0, 2, 1).reshape(-1, 4),
         }
         for s, (number, _, _) in enumerate(rows):
             if len(number):
                 self._place_bodies(s, number)
-        for name in (*OF_PAIRS, *OF_BODIES):
-            parts = [each[name] for each in self._of_scene if name in each]
-            if parts and sum(map(len, parts)) == sum(self._bodies if name in OF_BODIES else self._pairs):
-                given[name] = np.concatenate(parts)
+        for name in ("lower", "higher", *OF_BODIES, *OF_ENDS):
+            parts = [each[name] for each in self._of_scene if each]
+            given[name] = np.concatenate(parts) if parts else np.zeros(0)
+        self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
         self.arrays = subcycled_struct(b.scalar)()
         for name, variable in subcycled_struct(b.scalar).vars.items():
-            count = sum(self._bodies if name in BODY_ARRAYS else self._pairs)
-            if name in given and len(given[name]):
-                array = wp.array(np.ascontiguousarray(given[name]), dtype=variable.type.dtype, device=b.device)
-            else:
-                array = wp.zeros(count if name not in given else 0, dtype=variable.type.dtype, device=b.device)
-            setattr(self.arrays, name, array)
-        self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
+            if name != "held":
+                dtype, count = variable.type.dtype, self.body_count if name in BODY_ARRAYS else self.pair_count
+                if len(given.get(name, ())):
+                    array = wp.array(np.ascontiguousarray(given[name]), dtype=dtype, device=b.device)
+                else:
+                    array = wp.zeros(0 if name in given else count, dtype=dtype, device=b.device)
+                setattr(self.arrays, name, array)
+        for name in pair_bytes(b.models[0]):
+            dtype = getattr(b.pairs, name).dtype
+            setattr(self.arrays.held, name, wp.zeros(self.pair_count, dtype=dtype, device=b.device))
         self._sphere_place = wp.zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
         self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
@@ -154,11 +168,13 @@ class Subcycles:
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Where bodies that have just come to have such pairs are."""
-        bodies = self.batch.states[s].bodies
+        """Where bodies that have just come to have such pairs are; no force yet."""
+        bodies, found = self.batch.states[s].bodies, self._of_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
-            self._of_scene[s].setdefault(name, getattr(bodies, name).numpy()[where])
+            found.setdefault(name, getattr(bodies, name).numpy()[where])
+        for name in OF_ENDS:
+            found.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     # Launches.
 
@@ -170,7 +186,7 @@ class Subcycles:
 
     def _locating(self) -> list[Stage]:
         b = self.batch
-        kernels = locating_kernels(b.scalar, b.features.half_list)
+        kernels = locating_kernels(b.scalar, b.features.half_list, b.features.history)
         own = {"subcycled": self.arrays, "sphere_place": self._sphere_place, "body_place": self._body_place}
 
         def stage(kernel: Any, dim: int, *names: str) -> Stage:
@@ -179,8 +195,8 @@ class Subcycles:
         return [
             stage(kernels.note_spheres, b.sphere_count, "sphere_place"),
             stage(kernels.note_bodies, b.body_count, "body_place", "subcycled"),
-            stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
             stage(kernels.locate_bodies, self.body_count, "body_place", "subcycled"),
+            stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
         ]
 
     def kernels(self) -> list[Any]:
