@@ -60,6 +60,8 @@ def pair_history(state) -> dict:
     result = {}
     for i in range(state.sphere_count):
         for k in range(start[i], start[i + 1]):
+            if other[k] < 0 and not features.half_list:
+                continue  # a full list's second entry of a pair holds neither history nor load
             j = other[k] if other[k] >= 0 else -1 - other[k]
             key = (min(ids[i], ids[j]), max(ids[i], ids[j]))
             assert (other[k] >= 0) == (ids[i] < ids[j])

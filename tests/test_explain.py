@@ -68,6 +68,13 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
 
 def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
+    rounds = explain(scene, device=device, threads=1, cache=False).forecast
+    assert "rounds in each step" in rounds.governing
+    bounds = rounds.limits
+    assert bounds["hydrated bonds, a round"] < 0.1 * bounds["contacts"]
+    of_contacts = min(dt for name, dt in bounds.items() if name.startswith("contacts and"))
+    assert bounds["all together"] == pytest.approx(0.5 * of_contacts, rel=0.05)
+    scene = replace(scene, time_step=replace(scene.time_step, rounds=1))
     told = explain(scene, device=device, threads=1, cache=False)
     limits = told.forecast.limits
     assert told.forecast.governing.startswith("hydrated bonds, which make it")

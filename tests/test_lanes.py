@@ -29,8 +29,8 @@ def box(kind, count, spread):
 
 
 def stepped(scene, many, monkeypatch, precision):
-    for module in (neighbors, stages):
-        monkeypatch.setattr(module, "MANY", many)
+    monkeypatch.setattr(neighbors, "MANY", many)
+    monkeypatch.setattr(stages, "MANY_LINKS", many)
     model = build_model(scene, find_device("cuda:0"), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     if scene.bonds is not None:
@@ -47,8 +47,8 @@ def stepped(scene, many, monkeypatch, precision):
     [("spheres", 1.0), ("spheres", 4.0), ("clumps", 1.5), ("bonded", 1.0), *((law, 1.0) for law in LAWS)],
 )
 def test_lists_and_bits_are_those_of_one_thread(kind, spread, precision, monkeypatch):
-    """Rows of lists by octants and by one search; forces in four sums by four threads and by one; at rest and moving,
-    lists built several times."""
+    """Rows of lists by octants and by one search; contacts shared out among a warp and to whom each fell; at rest and
+    moving, lists built several times."""
     one, few = (stepped(box(kind, 3000, spread), many, monkeypatch, precision) for many in (0, 10**9))
     assert one.lists._searchers == 1 and few.lists._searchers == neighbors.OCTANTS
     assert one.lists.builds[0] == few.lists.builds[0] > 1
@@ -57,6 +57,6 @@ def test_lists_and_bits_are_those_of_one_thread(kind, spread, precision, monkeyp
     for name in ("start", "other"):
         ours, theirs = (getattr(s.state.pairs, name).numpy()[: total if name == "other" else None] for s in (few, one))
         assert np.array_equal(ours, theirs), name
-    for name in ("position", "velocity", "force"):
+    for name in ("position", "velocity", "spin"):
         assert np.array_equal(*(getattr(s.state.spheres, name).numpy() for s in (few, one))), name
     assert np.array_equal(few.state.bodies.position.numpy(), one.state.bodies.position.numpy())

@@ -18,6 +18,24 @@ from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
 
 FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
 WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
+COMMON_WALL = """
+#if defined(__CUDA_ARCH__)
+    const unsigned touching = __ballot_sync(0xffffffffu, touches);
+    if (touching == 0) return 0;
+    const int first = __shfl_sync(0xffffffffu, w, __ffs(touching) - 1);
+    return __all_sync(0xffffffffu, !touches || w == first) ? first + 1 : -1;
+#else
+    return touches ? -1 : 0;
+#endif
+"""
+WARP_TOTAL = """
+#if defined(__CUDA_ARCH__)
+    for (int away = 16; away > 0; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
+    return value;
+#else
+    return value;
+#endif
+"""
 
 
 @functools.cache
@@ -34,6 +52,41 @@ def wall_force_function(scalar):
             wp.atomic_add(step_force, part, w, c + 3, wp.int64(wp.round(wp.float64(m[c]) * scale)))
 
     return add_to_wall
+
+
+@functools.cache
+def warp_force_function(scalar):
+    """`add_together`: the same for all threads of a warp, of which some touch: first among themselves, then once.
+
+    All spheres that touch a wall add to the same six numbers; one by one they take most of a small step.
+    """
+    t = types(scalar)
+    add_to_wall = wall_force_function(scalar)
+
+    @wp.func_native(COMMON_WALL)
+    def common_wall(touches: wp.bool, w: wp.int32) -> wp.int32: ...  # 1 more than the wall of all, 0: none, -1: several
+
+    @wp.func_native(WARP_TOTAL)
+    def warp_total(value: wp.int64) -> wp.int64: ...
+
+    @wp.func
+    def add_together(
+        step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, lane: wp.int32, w: wp.int32, f: t.vec3, m: t.vec3,
+        scale: wp.float64,
+    ):  # fmt: skip
+        """All threads of a warp must call; f and m are 0 where nothing touches."""
+        common = common_wall(touches, w)
+        if common > 0:
+            for c in range(3):
+                force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)))
+                moment = warp_total(wp.int64(wp.round(wp.float64(m[c]) * scale)))
+                if lane == 0:
+                    wp.atomic_add(step_force, 0, common - 1, c, force)
+                    wp.atomic_add(step_force, 0, common - 1, c + 3, moment)
+        elif touches:
+            add_to_wall(step_force, 0, w, f, m, scale)
+
+    return add_together
 
 
 @functools.cache
@@ -67,8 +120,9 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
-def analytic_wall_functions(scalar, law, dissipation: bool):
-    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes.
+def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
+    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
+    threads of a warp must call; one that has nothing to look at says that it is not `here`.
 
     Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
     far the nearest was; `far_from_walls` tells by this whether it must look again.
@@ -86,7 +140,7 @@ def analytic_wall_functions(scalar, law, dissipation: bool):
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     write_vec4 = row_functions(scalar).write_vec4
-    add_to_wall = wall_force_function(scalar)
+    add_to_wall, add_together = wall_force_function(scalar), warp_force_function(scalar)
 
     @wp.func
     def far_from_walls(position: t.vec4, clear: t.vec4):
@@ -98,6 +152,7 @@ def analytic_wall_functions(scalar, law, dissipation: bool):
     def on_walls(
         i: wp.int32,
         scene: SceneRow,
+        here: wp.bool,
         far: wp.bool,
         part: wp.int32,
         dt: scalar,
@@ -120,45 +175,53 @@ def analytic_wall_functions(scalar, law, dissipation: bool):
         now = wp.int32(0)
         for slot in range(scene.analytic):
             w = scene.walls + slot
-            if far and walls.table[w].motion == FIXED:
-                continue
-            distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
-            gap = distance - radius
-            if walls.table[w].motion == FIXED:
-                nearest = wp.min(nearest, gap + radius)
-            if gap < scalar(0.0):
-                n = into_wall(walls.table[w], direction)  # from the sphere into the wall
-                touch, point = surface_touch(
-                    walls.position[w],
-                    walls.velocity[w],
-                    walls.spin[w],
-                    n,
-                    gap,
-                    x,
-                    radius,
-                    velocity,
-                    spheres.spin[i],
-                    dt,
-                )
-                f, new_history, lost = contact_force(
-                    parameters[row + walls.table[w].material], touch, slots.history[i, slot], dt
-                )
-                slots.history[i, slot] = new_history
-                if slot < WALL_BITS:
-                    now = now | (1 << slot)
-                total_lost += wp.float64(lost)
-                total_force += f
-                total_moment += wp.cross((radius + gap) * n, f)
-                add_to_wall(walls.step_force, part, w, -f, wp.cross(point - walls.position[w], -f), scale)
-            elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
-                if wp.static(dissipation):
-                    touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
-                    p = parameters[row + walls.table[w].material]
-                    total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
-                slots.history[i, slot] = t.vec3()
-        if now != before:
+            touches = wp.bool(False)
+            f = t.vec3()
+            m = t.vec3()
+            if here and not (far and walls.table[w].motion == FIXED):
+                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
+                gap = distance - radius
+                if walls.table[w].motion == FIXED:
+                    nearest = wp.min(nearest, gap + radius)
+                if gap < scalar(0.0):
+                    touches = wp.bool(True)
+                    n = into_wall(walls.table[w], direction)  # from the sphere into the wall
+                    touch, point = surface_touch(
+                        walls.position[w],
+                        walls.velocity[w],
+                        walls.spin[w],
+                        n,
+                        gap,
+                        x,
+                        radius,
+                        velocity,
+                        spheres.spin[i],
+                        dt,
+                    )
+                    f, new_history, lost = contact_force(
+                        parameters[row + walls.table[w].material], touch, slots.history[i, slot], dt
+                    )
+                    slots.history[i, slot] = new_history
+                    if slot < WALL_BITS:
+                        now = now | (1 << slot)
+                    total_lost += wp.float64(lost)
+                    total_force += f
+                    total_moment += wp.cross((radius + gap) * n, f)
+                    m = wp.cross(point - walls.position[w], -f)
+                elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
+                    if wp.static(dissipation):
+                        touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                        p = parameters[row + walls.table[w].material]
+                        total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
+                    slots.history[i, slot] = t.vec3()
+            if wp.static(half):
+                if touches:
+                    add_to_wall(walls.step_force, part, w, -f, m, scale)
+            else:
+                add_together(walls.step_force, touches, part, w, -f, m, scale)
+        if here and now != before:
             slots.touching[i] = now
-        if not far:
+        if here and not far:
             write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))  # the rest is room for rounding
         return total_force, total_moment, total_lost
 
@@ -167,14 +230,15 @@ def analytic_wall_functions(scalar, law, dissipation: bool):
 
 @functools.cache
 def wall_kernel(scalar, law, dissipation: bool):
-    """Kernel over spheres: adds the forces of planes and pipes, where the contact kernel does not do that, too.
+    """Kernel over spheres of half lists: adds the forces of planes and pipes.
 
-    On a CPU two kernels are faster: clang inlines a law that a kernel calls once, not one that it calls twice.
+    Two kernels are faster than one with the contacts: clang inlines a law that a kernel calls once, not one that it
+    calls twice.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
-    analytic = analytic_wall_functions(scalar, law, dissipation)
+    analytic = analytic_wall_functions(scalar, law, True, dissipation)
     Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
     read_vec4 = row_functions(scalar).read_vec4
 
@@ -195,8 +259,8 @@ def wall_kernel(scalar, law, dissipation: bool):
         slots: Slots,
         walls: Walls,
     ):
-        begin_i = first + wp.tid() * wp.static(SPAN)
-        for i in range(begin_i, wp.min(begin_i + wp.static(SPAN), last)):
+        begin_i = first + wp.tid() * SPAN
+        for i in range(begin_i, wp.min(begin_i + SPAN, last)):
             s = spheres.scene[i]
             if flags[s, HALTED] != 0:
                 continue
@@ -204,8 +268,8 @@ def wall_kernel(scalar, law, dissipation: bool):
             if far and scenes.row[s].still != 0:
                 continue
             wall_force, wall_moment, lost = on_walls(
-                i, scenes.row[s], far, part, scalar(scenes.clock[s, DT_PREVIOUS]), scenes.clock[s, FORCE_SCALE],
-                wall_parameters, segments, spheres, slots, walls,
+                i, scenes.row[s], wp.bool(True), far, part, scalar(scenes.clock[s, DT_PREVIOUS]),
+                scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
             )  # fmt: skip
             spheres.force[i] = spheres.force[i] + wall_force
             spheres.moment[i] = spheres.moment[i] + wall_moment

@@ -9,7 +9,7 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, subcycled_struct
+from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, subcycled_struct
 
 
 @functools.cache
@@ -137,6 +137,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     drift_of, outgrows_lists = motion.drift_of, motion.outgrows_lists
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
+    Links = links_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def move_spheres(
@@ -153,6 +154,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
+        links: Links,
     ):
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
@@ -171,6 +173,10 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             total = read_vec3(spheres.force, i)
             if wp.static(half):
                 write_vec3(spheres.force, i, t.vec3())
+            else:
+                total += read_vec3(links.force, i)
+                if wp.static(dissipation):
+                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + links.lost[i]
             if wp.static(drives):
                 group = bodies.group[i]
                 if group > 0:
@@ -187,7 +193,10 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
 
             if wp.static(rotation):
                 spin = read_vec3(spheres.spin, i)
-                torque, lost_turning = damped(read_vec3(spheres.moment, i), spin, damping, kick)
+                torque = read_vec3(spheres.moment, i)
+                if wp.static(not half):
+                    torque += read_vec3(links.moment, i)
+                torque, lost_turning = damped(torque, spin, damping, kick)
                 if wp.static(half):
                     write_vec3(spheres.moment, i, t.vec3())
                 inertia = scalar(0.4) * mass * radius * radius
@@ -230,27 +239,34 @@ def sync_kernel(scalar):
 
 
 @functools.cache
-def gather_function(scalar, half: bool):
-    """`gather`: force and moment about its centroid that a body's spheres have met; a half list is cleared for the
-    next step."""
+def gather_function(scalar, half: bool, dissipation: bool):
+    """`gather`: force and moment about its centroid that a body's spheres have met, and what their links lost; of half
+    lists they are cleared for the next step."""
     t = types(scalar)
-    Spheres = array_structs(scalar).Spheres
+    Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
     xyz = vector_functions(scalar).xyz
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
 
     @wp.func
-    def gather(spheres: Spheres, begin: wp.int32, end: wp.int32, x: t.vec3):
+    def gather(spheres: Spheres, links: Links, begin: wp.int32, end: wp.int32, x: t.vec3):
         total = t.vec3()
         torque = t.vec3()
+        lost = wp.float64(0.0)
         for s in range(begin, end):
             f = read_vec3(spheres.force, s)
+            moment = read_vec3(spheres.moment, s)
+            if wp.static(not half):
+                f += read_vec3(links.force, s)
+                moment += read_vec3(links.moment, s)
+                if wp.static(dissipation):
+                    lost += links.lost[s]
             total += f
-            torque += read_vec3(spheres.moment, s) + wp.cross(xyz(read_vec4(spheres.position, s)) - x, f)
+            torque += moment + wp.cross(xyz(read_vec4(spheres.position, s)) - x, f)
             if wp.static(half):
                 write_vec3(spheres.force, s, t.vec3())
                 write_vec3(spheres.moment, s, t.vec3())
-        return total, torque
+        return total, torque, lost
 
     return gather
 
@@ -271,8 +287,8 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
-    gather = gather_function(scalar, half)
-    Subcycled = subcycled_struct(scalar)
+    gather = gather_function(scalar, half, dissipation)
+    Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
@@ -295,6 +311,7 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
+        links: Links,
         subcycled: Subcycled,
     ):
         begin_b = first + wp.tid() * wp.static(span)
@@ -310,7 +327,9 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
             begin = scenes.row[scene].spheres + bodies.first[b + scene]
             end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
 
-            total, torque = gather(spheres, begin, end, x)
+            total, torque, taken = gather(spheres, links, begin, end, x)
+            if wp.static(dissipation and not half):
+                spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + taken
             if wp.static(drives):
                 group = bodies.group[b]
                 if group > 0:

@@ -80,7 +80,7 @@ def pair_functions(scalar):
 
 
 @functools.cache
-def parting_function(scalar, law, half: bool, history: bool, healing: bool, subcycling: bool, dissipation: bool):
+def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
     """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
     `block` to `end`; the energy that they lose [J]."""
     t = types(scalar)
@@ -110,9 +110,7 @@ def parting_function(scalar, law, half: bool, history: bool, healing: bool, subc
                 # A spring still loaded when the surfaces part takes its energy with it.
                 entry = pairs.other[k]
                 j = base + decode(entry)
-                counts = entry >= 0
-                if wp.static(half):
-                    counts = counts or (j >= first and j < last)
+                counts = entry >= 0 or (j >= first and j < last)
                 if wp.length_sq(pairs.history[k]) > scalar(0.0) and counts:
                     touch = sphere_touch(
                         t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, spheres.position[j][3], mass,
@@ -238,9 +236,9 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 
 
 @functools.cache
-def closeness_function(scalar, bonds: bool, subcycling: bool, lanes: int):
-    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it; of those
-    that fall to a `lane`. Pairs that are stepped in rounds of their own have none.
+def closeness_function(scalar, bonds: bool, subcycling: bool):
+    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it, but for
+    pairs that are stepped in rounds of their own.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -251,11 +249,10 @@ def closeness_function(scalar, bonds: bool, subcycling: bool, lanes: int):
 
     @wp.func
     def close_entries(
-        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32,
-        lane: wp.int32,
-    ):  # fmt: skip
+        spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32
+    ):
         bits = wp.int32(0)
-        b = lane
+        b = wp.int32(0)
         x = xyz(position)
         while b < length:
             position_j = read_vec4(spheres.position, base + decode(read_int(pairs.other, block + b)))
@@ -268,14 +265,14 @@ def closeness_function(scalar, bonds: bool, subcycling: bool, lanes: int):
                     close = close and kind != HYDRATED
             if close:
                 bits = bits | (1 << b)
-            b = b + lanes
+            b = b + 1
         return bits
 
     return close_entries
 
 
 @functools.cache
-def touching_function(scalar, law, half: bool, history: bool, bonds: bool, healing: bool, dissipation: bool):
+def touching_function(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool):
     """`touching`: contacts of some list entries, a bit each: their force on the sphere [N], its moment [N m], and the
     energy that they lose [J].
     """
@@ -305,7 +302,7 @@ def touching_function(scalar, law, half: bool, history: bool, bonds: bool, heali
             bits = bits & (bits - 1)
             entry = read_int(pairs.other, k)
             j = base + decode(entry)
-            shared = wp.static(half) and j >= first and j < last
+            shared = j >= first and j < last
             own = entry >= 0 or shared  # this copy of the pair is the one that counts
             sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
             spin_j = read_vec3(spheres.spin, j)
@@ -332,32 +329,10 @@ def touching_function(scalar, law, half: bool, history: bool, bonds: bool, heali
             turn = wp.cross(pair.touch.normal, total)
             force_i = force_i + sign * total
             moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
-            if wp.static(half):
-                if shared:
-                    write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
-                    other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
-                    write_vec3(spheres.moment, j, other_moment)
+            if shared:
+                write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
+                other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
+                write_vec3(spheres.moment, j, other_moment)
         return force_i, moment_i, lost_i
 
     return touching
-
-
-@functools.cache
-def share_function(ways: int):
-    """`share`: of the bits that are set, those that fall to a way: the first to the first, the next to the next."""
-
-    @wp.func
-    def share(bits: wp.int32, way: wp.int32) -> wp.int32:
-        if wp.static(ways == 1):
-            return bits
-        mine = wp.int32(0)
-        turn = wp.int32(0)
-        left = bits
-        while left != 0:
-            if turn == way:
-                mine = mine | (left & -left)
-            turn = (turn + 1) % ways
-            left = left & (left - 1)
-        return mine
-
-    return share

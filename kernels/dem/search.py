@@ -254,7 +254,7 @@ def transfer_kernel(scalar, half: bool, history: bool, bonds: bool, lanes: int =
                 continue
             base = scenes.row[s].spheres
             row = scenes.row[s].pairs
-            if wp.static(history or bonds):
+            if wp.static(half and (history or bonds)):
                 spheres.touching[i] = wp.static(ALL_TOUCHED)
             for k in range(row + pairs.start[i + s] + lane, row + pairs.start[i + s + 1], lanes):
                 j = base + pairs.other[k]

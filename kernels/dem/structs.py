@@ -166,6 +166,27 @@ def array_structs(scalar) -> SimpleNamespace:
 
 
 @functools.cache
+def links_struct(scalar):
+    """Struct `Links`: pairs as a GPU evaluates them, a thread each. A pair's `entry` is that of its sphere with the
+    lower permanent number; the entry of the other is its `twin`. Only entries that are no twins hold history and load.
+    """
+    t = types(scalar)
+
+    @wp.struct
+    class Links:
+        link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, from the scene's first; or -1
+        scene: wp.array(dtype=wp.int32)  # number in the batch, shape (links,) as the rest
+        touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
+        pull: wp.array(dtype=t.vec4)  # of each entry of the lists, two rows: force on its sphere [N], moment about its
+        # centre [N m] (the first component ends the first row), and, not of twins, energy lost in this step [J]
+        force: wp.array(dtype=t.vec3)  # of all links of a sphere [N], shape (spheres,) as the rest
+        moment: wp.array(dtype=t.vec3)  # about its centre [N m]
+        lost: wp.array(dtype=wp.float64)  # energy in this step [J]
+
+    return Links
+
+
+@functools.cache
 def subcycled_struct(scalar):
     """Struct `Subcycled`: pairs that are stepped in rounds, and bodies that have such pairs. All that a round needs
     stands here, row by row: a GPU waits for memory in each."""

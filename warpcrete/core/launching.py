@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-import warp
 import warp as wp
 
 from ..kernels.common.barrier import GATE, barrier
@@ -78,12 +77,24 @@ def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
 
 
 class Stage:
-    """One kernel launch, recorded once and replayed until an array of its changes."""
+    """One kernel launch, recorded once and replayed until an array of its changes.
+
+    On a GPU stages that are `beside` run at the same time as those that follow, up to one that `meets` them.
+    """
 
     def __init__(
-        self, kernel: Any, dim: Size, named: Mapping[str, Any], device: Any, *, block: int | None = None
+        self,
+        kernel: Any,
+        dim: Size,
+        named: Mapping[str, Any],
+        device: Any,
+        *,
+        block: int | None = None,
+        beside: bool = False,
+        meets: bool = False,
     ) -> None:
         self.kernel, self.dim, self.device = kernel, dim, device
+        self.beside, self.meets = beside, meets
         self.arguments = bound(kernel, named)
         self.block = (block or block_size(dim)) if parallel(device) else 1
         self._command: Any = None
@@ -101,10 +112,10 @@ class Stage:
                 block_dim=self.block,
             )  # fmt: skip
 
-    def __call__(self) -> None:
+    def __call__(self, stream: Any = None) -> None:
         if tasks_of(self.dim):
             self.record()
-            self._command.launch()
+            self._command.launch(stream)
 
 
 _told: ContextVar[Callable[[str, float], None] | None] = ContextVar("told", default=None)
@@ -195,7 +206,7 @@ def _load(module: Any, device: Any, block: int) -> None:
 def _headers_folder() -> str | None:
     """Folder of this thread's compiled headers of C++; None where Warp keeps none, or keeps them otherwise."""
     try:
-        return warp._src.context.runtime._get_or_create_pch_dir()  # pyright: ignore[reportAttributeAccessIssue]
+        return wp._src.context.runtime._get_or_create_pch_dir()  # pyright: ignore[reportAttributeAccessIssue]
     except AttributeError:
         return None
 
@@ -207,7 +218,7 @@ def _share_headers(home: int) -> None:
     long as five kernels; :func:`_load` sees to it that they are written once. Where Warp has changed they stay apart.
     """
     try:
-        runtime = warp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
+        runtime = wp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
         with runtime._pch_dirs_lock:
             if home in runtime._pch_dirs:
                 runtime._pch_dirs[threading.get_ident()] = runtime._pch_dirs[home]
@@ -320,7 +331,26 @@ class Launcher:
         for part in step:
             with wp.ScopedCapture(device=self.device) as capture:
                 for _ in range(size):
-                    for stage in part:
-                        stage()
+                    if parallel(self.device) and self.device.is_cuda:
+                        _launch_beside(part, self.device)
+                    else:
+                        for stage in part:
+                            stage()
             graphs.append(capture.graph)
         return graphs
+
+
+def _launch_beside(stages: list[Any], device: Any) -> None:
+    """Launch a GPU's stages into the graph that is captured, those that are `beside` on a stream of their own."""
+    main, side = device.stream, None
+    for stage in stages:
+        if stage.beside:
+            if side is None:
+                side = wp.Stream(device)
+                side.wait_event(main.record_event())
+            stage(side)
+            continue
+        if stage.meets and side is not None:
+            main.wait_event(side.record_event())
+            side = None
+        stage()

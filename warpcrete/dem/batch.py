@@ -23,7 +23,7 @@ from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
-from ..kernels.dem.structs import array_structs, scene_struct
+from ..kernels.dem.structs import array_structs, links_struct, scene_struct
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .subcycling import Subcycles
@@ -109,13 +109,15 @@ class Batch:
             threads = 1
         self.threads = max(1, min(threads, self.sphere_count // PER_THREAD))
         self.structs = array_structs(self.scalar)
-        self.capacity = np.array([len(s.pairs.other) for s in states])
+        # In full lists every pair stands twice.
+        self.capacity = np.array([len(s.pairs.other) // 2 * 2 if self.parallel else len(s.pairs.other) for s in states])
         """Entries that there is room for in the pair arrays, of each scene."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Likewise of the mesh candidates."""
         self._join_states()
         self._join_models()
         self._place_pairs()
+        self.links = self._make_links()
         self.subcycles = Subcycles(self)
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
@@ -260,7 +262,31 @@ class Batch:
     def reserve_pairs(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
+        before, old = self.links, self.capacity.copy()
         self._regrow("pairs", used, self.capacity, wanted)
+        self.links = self._make_links()
+        for name in ("link", "touched", "pull") if self.parallel else ():
+            first, behind, count = (
+                (2 * each if name == "pull" else each // 2)
+                for each in (np.append(0, np.cumsum(self.capacity)), np.append(0, np.cumsum(old)), old)
+            )
+            for s in np.flatnonzero(count):
+                target, source = (getattr(links, name) for links in (self.links, before))
+                wp.copy(target, source, int(first[s]), int(behind[s]), int(count[s]))
+
+    def _make_links(self) -> Any:
+        """A GPU's pairs, with as much room as the lists; none of a scene is known yet."""
+        links = links_struct(self.scalar)()
+        lists = int(self.capacity.sum()) if self.parallel else 0
+        n = self.sphere_count if self.parallel else 0
+        sizes = {"pull": 2 * lists, "force": n, "moment": n, "lost": n if self.features.dissipation else 0}
+        for name, variable in links_struct(self.scalar).vars.items():
+            dtype = variable.type.dtype
+            setattr(links, name, wp.zeros(sizes.get(name, lists // 2), dtype=dtype, device=self.device))
+        links.link.fill_(-1)
+        if self.parallel:
+            links.scene.assign(np.repeat(np.arange(self.count, dtype=np.int32), self.capacity // 2))
+        return links
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` mesh candidates a scene."""
@@ -269,7 +295,7 @@ class Batch:
     def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > capacity
-        capacity[grown] = wanted[grown] + wanted[grown] // 4 + 64
+        capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
         new = np.concatenate([[0], np.cumsum(capacity)])
         if new[-1] > MAXIMUM_ENTRIES:
             raise CapacityError(
@@ -282,7 +308,10 @@ class Batch:
                 kept = int(old[s + 1] - old[s])
                 if kept:
                     wp.copy(after, before, int(new[s]), int(old[s]), kept)
-                view = after[int(new[s]) : int(new[s + 1])] if self.count > 1 else after
+                view = after
+                if self.count > 1:
+                    empty = new[s] == new[s + 1]  # Warp slices none out of nothing
+                    view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
                 setattr(getattr(state, struct), name, view)
             setattr(getattr(self, struct), name, after)
         self._place_pairs()
@@ -313,12 +342,14 @@ class Batch:
 
     # Launching.
 
-    def stage(self, kernel: Any, dim: Size, **named: Any) -> Stage:
+    def stage(
+        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, **named: Any
+    ) -> Stage:  # fmt: skip
         """A launch of a kernel; parameters that are not `named` are the batch's attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device)
+        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets)
 
     def invalidate_graphs(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""

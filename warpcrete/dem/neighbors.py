@@ -13,6 +13,7 @@ from ..core.errors import CapacityError
 from ..core.launching import Stage, launch
 from ..kernels.common.control import STALE
 from ..kernels.common.types import types
+from ..kernels.dem.links import linking_kernels
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
@@ -43,6 +44,8 @@ class _Launches:
     transfer: list[Stage]
     drift: Stage
     clear_stale: Stage
+    links: list[Stage] = field(default_factory=list)
+    """Clearing, count and fill of a GPU's links."""
     faces: list[Stage] = field(default_factory=list)
     """Count, starts and fill of mesh candidates."""
 
@@ -132,6 +135,7 @@ class NeighborLists:
         if not b.features.half_list:
             b.in_parts(launches.search)
         b.in_parts(launches.transfer)
+        self._link(launches)
         if b.features.meshes:
             launches.faces[0]()
             wanted = self._starts(launches.faces[1], self._face_total, "mesh candidates", "faces")
@@ -145,6 +149,25 @@ class NeighborLists:
         b.device_changed()
         b.lists_built()
 
+    def _link(self, launches: _Launches) -> None:
+        if launches.links:
+            clear, count, fill = launches.links
+            clear()
+            count()
+            wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+            fill()
+
+    def link(self, s: int) -> None:
+        """Find the links of a scene whose lists came from a checkpoint."""
+        if self.batch.features.half_list:
+            return
+        for stale in (1, 0):
+            flags = self.batch.flags.numpy()
+            flags[s, int(STALE)] = stale
+            self.batch.flags.assign(flags)
+            if stale:
+                self._link(self._launches(False))
+
     def kernels(self) -> list[Any]:
         """Kernels and stages of all that it launches."""
         b = self.batch
@@ -153,7 +176,8 @@ class NeighborLists:
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         return [
-            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.transfer, *each.faces,
+            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.transfer, *each.links,
+            *each.faces,
             *([] if b.features.half_list else each.count), *([each.stretch] if b.features.bonds else []),
             invert, *order, *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
@@ -260,6 +284,13 @@ class NeighborLists:
             drift=b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes),
             clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
         )  # fmt: skip
+        if not f.half_list:
+            linking = linking_kernels(b.scalar, f.history, f.bonds)
+            launches.links = [
+                b.stage(linking.clear_links, len(b.links.link)),
+                b.stage(linking.count_own, n, count=self._count),
+                b.stage(linking.fill_links, n, scanned=self._scanned),
+            ]
         if f.meshes:
             count_faces, fill_faces = candidate_kernels(b.scalar)
             launches.faces = [

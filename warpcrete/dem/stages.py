@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from itertools import pairwise
-
-import warp as wp
+from typing import Any
 
 from ..core.launching import Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
 from ..kernels.dem.contacts import contact_kernel
+from ..kernels.dem.links import WARP, gather_kernel, link_kernel, surface_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import clump_kernel, sphere_kernel
 from ..kernels.dem.wall_motion import advance_kernel
 from .batch import Batch
 
-WAYS = 4
-"""Sums of a sphere's contacts on a GPU, before they are one; threads that form them, of few spheres."""
 MANY = 200_000
-"""Spheres from which on a thread each keeps a GPU busy: four took a fifth longer for a million, a quarter less for a
-tenth of that."""
+"""Spheres from which on a thread each keeps a GPU busy while lists are built."""
+MANY_LINKS = 1_000_000
+"""Pairs of lists from which on a GPU has threads enough if each looks at four."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -30,12 +29,14 @@ def tasks(batch: Batch, bodies: int) -> int:
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
     """Stages of one step on the arrays that the batch holds now, a list for each thread."""
+    if not batch.features.half_list:
+        return [_full_step(batch)]
     b, f = batch, batch.features
     meet = b.barrier()
     step = []
     chunks = zip(pairwise(b.sphere_chunks.tolist()), pairwise(b.body_chunks.tolist()))
     for part, (spheres, bodies) in enumerate(chunks):
-        stages = _contacts(b, part, *spheres)
+        stages = _half_contacts(b, part, *spheres)
         stages += meet
         if part == 0 and f.walls:
             stages.append(b.stage(advance_kernel(b.scalar), b.wall_count))
@@ -50,43 +51,60 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
     return step
 
 
-def _contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
-    """Forces on a chunk of spheres: by each other, by planes and pipes, by meshes."""
-    b, f = batch, batch.features
-    chunk = {"first": first, "last": last, "part": part}
-    together = f.analytic and not f.half_list
-    # In double precision four threads and one round apart.
-    ways = WAYS if b.device.is_cuda and b.scalar is wp.float32 else 1
-    lanes = ways if last - first < MANY else 1
-    contacts = contact_kernel(
-        b.scalar,
-        f.pair_law,
-        f.wall_law,
-        f.half_list,
-        f.history,
-        f.bonds,
-        f.healing,
-        f.subcycling,
-        together,
-        f.dissipation,
-        ways,
-        lanes,
-    )
-    stages = [b.stage(contacts, lanes * tasks(b, last - first), **chunk)]
-    if f.analytic and not together:
-        stages.append(b.stage(wall_kernel(b.scalar, f.wall_law, f.dissipation), tasks(b, last - first), **chunk))
+def _full_step(batch: Batch) -> list[Stage]:
+    """Stages of a GPU: walls, from contacts to their own motion, beside the contacts of spheres."""
+    b, f, n = batch, batch.features, batch.sphere_count
+    width = WARP if b.device.is_cuda else 1
+    stages = []
+    if f.walls:
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, width)
+        stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
-        meshes = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
-        stages.append(b.stage(meshes, tasks(b, last - first), **chunk, **members(meshes, wall=b.walls, slot=b.slots)))
+        stages.append(_meshes(b, 0, 0, n, beside=True))
+    if f.walls:
+        stages.append(b.stage(advance_kernel(b.scalar), b.wall_count, beside=True))
+    links = len(b.links.link)
+    candidates = 4 if links >= MANY_LINKS else 1
+    kernel = link_kernel(
+        b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width, candidates
+    )  # fmt: skip
+    stages += [
+        b.stage(kernel, -(-links // (width * candidates)) * width),
+        b.stage(gather_kernel(b.scalar, f.dissipation), n),
+        _motion(b, 0, b.body_count),
+        *(b.subcycles.stages(0) if f.subcycling else ()),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count),
+    ]
     return stages
 
 
-def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Motion of a chunk of bodies."""
+def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
+    """Forces on a chunk of spheres of a CPU: by each other, by planes and pipes, by meshes."""
     b, f = batch, batch.features
+    contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
+    stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
+    if f.analytic:
+        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation)
+        stages.append(b.stage(walls, tasks(b, last - first), first=first, last=last, part=part))
+    if f.meshes:
+        stages.append(_meshes(b, part, first, last))
+    return stages
+
+
+def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = False) -> Stage:
+    b, f = batch, batch.features
+    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
+    named = {"first": first, "last": last, "part": part, **members(kernel, wall=b.walls, slot=b.slots)}
+    return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
+
+
+def _motion(batch: Batch, first: int, last: int) -> Stage:
+    """Motion of a chunk of bodies, when all forces are there."""
+    b, f = batch, batch.features
+    named: dict[str, Any] = {"first": first, "last": last}
     if f.clumps:
         kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation)
-        return b.stage(kernel, tasks(b, last - first), first=first, last=last, subcycled=b.subcycles.arrays)
+        named["subcycled"] = b.subcycles.arrays
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
-    return b.stage(kernel, tasks(b, last - first), first=first, last=last)
+    return b.stage(kernel, tasks(b, last - first), meets=True, **named)

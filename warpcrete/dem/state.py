@@ -152,7 +152,7 @@ class State:
             clear=n if f.analytic else 0,
             force=n,
             moment=n,
-            touching=np.full(n if f.history or f.bonds else 0, ALL_TOUCHED),
+            touching=np.full(n if not f.half_list or f.history or f.bonds else 0, ALL_TOUCHED),
             dissipated_energy=n if f.dissipation else 0,
             broken=n if f.bonds else 0,
         )

@@ -88,6 +88,8 @@ class Stepper:
             self.batch.subcycles.load_state_dict(self.index, resumed["subcycles"])
         if resumed is None or self.index in self.batch.rechunked:
             self.rebuild()
+        else:
+            self.lists.link(self.index)
 
     def state_dict(self) -> dict[str, Any]:
         """What a stepper needs, besides the state, to go on as this one would."""

@@ -1,0 +1,466 @@
+"""Contacts between spheres on a GPU: a thread a pair, and sums of each sphere's in a fixed order.
+
+Lists hold every pair at both spheres; a *link* is a pair once. A warp looks at some links for each of its threads,
+and shares out those that touch, so that all its threads work on contacts together: most links of a list do not touch.
+What a link gives stands at both entries of its pair; a second kernel adds up the rows of each sphere in the order of
+the list, so no atomic is needed and bits depend on no order of threads. Planes and pipes have a kernel of their own, a
+thread a sphere, which runs beside those two.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import HALTED, STALE
+from ..common.rows import row_functions
+from ..common.types import lowest_bit, types, vector_functions
+from .analytic_walls import analytic_wall_functions
+from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
+from .contact_law import contact_functions
+from .contacts import contact_options
+from .pairs import BLOCK, bonded_function, decode, pair_functions
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
+
+WARP = 32
+"""Threads of a warp."""
+
+
+@functools.cache
+def mark_function(scalar):
+    """`mark`: notes in a sphere's bits whether the entry at a place of its row touches."""
+    Spheres = array_structs(scalar).Spheres
+
+    @wp.func
+    def mark(spheres: Spheres, i: wp.int32, place: wp.int32, touches: wp.bool):
+        if place < BLOCK:
+            if touches:
+                wp.atomic_or(spheres.touching, i, 1 << place)
+            else:
+                wp.atomic_and(spheres.touching, i, ~(1 << place))
+
+    return mark
+
+
+@functools.cache
+def linking_kernels(scalar, history: bool, bonds: bool):
+    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` and ``fill_links`` over spheres."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    mark = mark_function(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def clear_links(flags: wp.array2d(dtype=wp.int32), links: Links):
+        p = wp.tid()
+        if flags[links.scene[p], STALE] != 0:
+            links.link[p] = wp.vec4i(-1, -1, -1, -1)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def count_own(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
+        spheres: Spheres, links: Links,
+    ):  # fmt: skip
+        """Entries of a row that are no twins; none of the row touches yet."""
+        i = wp.tid()
+        s = spheres.scene[i]
+        own = wp.int32(0)
+        stale = flags[s, STALE] != 0
+        begin = scenes.row[s].pairs + pairs.start[i + s]
+        for k in range(begin, scenes.row[s].pairs + pairs.start[i + s + 1]):
+            if pairs.other[k] >= 0:
+                own += 1
+            if stale and k - begin >= BLOCK:  # no bits tell of these
+                links.pull[2 * k] = t.vec4()
+                links.pull[2 * k + 1] = t.vec4()
+        count[i + s] = own
+        if stale:
+            spheres.touching[i] = 0
+
+    @wp.func
+    def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
+        """Entry of a row, in which places ascend, that stands for sphere i of the scene."""
+        low = begin
+        high = end - 1
+        while low < high:
+            middle = (low + high) / 2
+            if decode(pairs.other[middle]) < i:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def fill_links(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
+        spheres: Spheres, links: Links,
+    ):  # fmt: skip
+        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at."""
+        i = wp.tid()
+        s = spheres.scene[i]
+        if flags[s, STALE] == 0:
+            return
+        base = scenes.row[s].spheres
+        row = scenes.row[s].pairs
+        p = row / 2 + scanned[i + s] - scanned[base + s]
+        for k in range(pairs.start[i + s], pairs.start[i + s + 1]):
+            j = pairs.other[row + k]
+            if j >= 0:
+                begin = pairs.start[base + j + s]
+                twin = twin_of(pairs, row + begin, row + pairs.start[base + j + s + 1], i - base) - row
+                remembers = wp.bool(False)
+                if wp.static(history):
+                    remembers = wp.length_sq(pairs.history[row + k]) > scalar(0.0)
+                if wp.static(bonds):
+                    remembers = remembers or pairs.bond[row + k] != 0
+                links.link[p] = wp.vec4i(i - base, j, k, twin)
+                links.touched[p] = wp.where(remembers, 1, 0)
+                if remembers:
+                    mark(spheres, i, k - pairs.start[i + s], True)
+                    mark(spheres, base + j, twin - begin, True)
+                p += 1
+
+    return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)
+
+
+@functools.cache
+def pull_functions(scalar):
+    """`pull` writes the two rows of an entry; `pulled` adds up those of a sphere: force [N], moment [N m] and lost
+    energy [J]."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
+
+    @wp.func
+    def pull(links: Links, k: wp.int32, force: t.vec3, moment: t.vec3, lost: scalar):
+        write_vec4(links.pull, 2 * k, t.vec4(force[0], force[1], force[2], moment[0]))
+        write_vec4(links.pull, 2 * k + 1, t.vec4(moment[1], moment[2], lost, scalar(0.0)))
+
+    @wp.func
+    def pulled(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
+        """`row` is the scene's first entry, `slot` the sphere's place in `pairs.start`."""
+        force = t.vec3()
+        moment = t.vec3()
+        lost = wp.float64(0.0)
+        begin = row + read_int(pairs.start, slot)
+        end = row + read_int(pairs.start, slot + 1)
+        left = read_int(spheres.touching, i)
+        while left != 0:
+            k = begin + lowest_bit(left)
+            left = left & (left - 1)
+            a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+            force += xyz(a)
+            moment += t.vec3(a[3], b[0], b[1])
+            lost += wp.float64(b[2])
+        for k in range(begin + BLOCK, end):  # no bits tell of these
+            a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+            force += xyz(a)
+            moment += t.vec3(a[3], b[0], b[1])
+            lost += wp.float64(b[2])
+        return force, moment, lost
+
+    return pull, pulled
+
+
+def warp_functions(width: int) -> SimpleNamespace:
+    """`ballot` (a bit for each thread of a warp for which something holds), `count_bits`, and `find_bit` (place of the
+    n-th bit that is set, from 0)."""
+    cuda = width > 1
+
+    @wp.func_native("return __ballot_sync(0xffffffffu, holds);" if cuda else "return holds ? 1 : 0;")
+    def ballot(holds: wp.bool) -> wp.int32: ...
+
+    @wp.func_native("return __popc(bits);" if cuda else "return __builtin_popcount(bits);")
+    def count_bits(bits: wp.int32) -> wp.int32: ...
+
+    @wp.func_native("return __fns(bits, 0, n + 1);" if cuda else "return 0;")
+    def find_bit(bits: wp.int32, n: wp.int32) -> wp.int32: ...
+
+    return SimpleNamespace(ballot=ballot, count_bits=count_bits, find_bit=find_bit)
+
+
+@functools.cache
+def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
+    """`looks`: whether a link touches or is bonded; lets go of what has parted."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    functions = law.functions(scalar)
+    Parameters, contact_energy = functions.Parameters, functions.energy
+    sphere_touch = contact_functions(scalar).sphere_touch
+    xyz = vector_functions(scalar).xyz
+    read_vec4 = row_functions(scalar).read_vec4
+    pull, _ = pull_functions(scalar)
+    mark = mark_function(scalar)
+
+    @wp.func
+    def part(
+        scenes: Scenes, spheres: Spheres, pairs: Pairs, parameters: wp.array(dtype=Parameters), s: wp.int32,
+        i: wp.int32, j: wp.int32, k: wp.int32, twin: wp.int32,
+    ):  # fmt: skip
+        """Clear what a pair remembers; returns the energy that its spring, still loaded, takes with it [J]."""
+        lost = scalar(0.0)
+        if wp.static(history):
+            if wp.static(dissipation):
+                if wp.length_sq(pairs.history[k]) > scalar(0.0):
+                    touch = sphere_touch(
+                        t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), spheres.position[i][3], spheres.position[j][3],
+                        spheres.velocity[i][3], spheres.velocity[j][3],
+                    )  # fmt: skip
+                    row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
+                    lost = contact_energy(parameters[row + spheres.material[j]], touch, pairs.history[k])
+            pairs.history[k] = t.vec3()
+        if wp.static(healing):
+            if pairs.bond[k] < 0:
+                pairs.bond[k] = 0  # may bond again at the next touch
+                pairs.bond[twin] = 0
+        return lost
+
+    @wp.func
+    def looks(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links,
+        parameters: wp.array(dtype=Parameters), p: wp.int32,
+    ) -> wp.bool:  # fmt: skip
+        if p >= links.link.shape[0]:
+            return False
+        link = links.link[p]
+        s = links.scene[p]
+        if link[0] < 0 or flags[s, HALTED] != 0:
+            return False
+        base = scenes.row[s].spheres
+        row = scenes.row[s].pairs
+        i, j, k = base + link[0], base + link[1], row + link[2]
+        position_i, position_j = read_vec4(spheres.position, i), read_vec4(spheres.position, j)
+        reach = position_i[3] + position_j[3]
+        close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
+        held_apart = wp.bool(False)
+        if wp.static(bonds):
+            kind = pairs.bond[k]
+            close = close or kind > 0
+            if wp.static(subcycling):
+                held_apart = kind == HYDRATED  # stepped in rounds of its own
+                close = close and not held_apart
+        state = links.touched[p]
+        if (close and state != 1) or (not close and state != 0):
+            twin = row + link[3]
+            lost = scalar(0.0)
+            if not close and state == 1 and not held_apart:
+                lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
+            after = wp.where(close, 1, 0)
+            if lost > scalar(0.0):
+                after = 2  # its rows count once more
+            else:
+                mark(spheres, i, link[2] - pairs.start[i + s], close)
+                mark(spheres, j, link[3] - pairs.start[j + s], close)
+            links.touched[p] = after
+            if not close:
+                pull(links, k, t.vec3(), t.vec3(), lost)
+                pull(links, twin, t.vec3(), t.vec3(), scalar(0.0))
+        return close
+
+    return looks
+
+
+@functools.cache
+def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool):
+    """`evaluate`: force and moments of a link, its history and bond."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    functions = law.functions(scalar)
+    Parameters, contact_force = functions.Parameters, functions.force
+    Bond = bond_functions(scalar).Bond
+    pair_touch = pair_functions(scalar).pair_touch
+    bonded = bonded_function(scalar, healing, dissipation)
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+    pull, _ = pull_functions(scalar)
+
+    @wp.func
+    def evaluate(
+        scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond), p: wp.int32,
+    ):  # fmt: skip
+        link = links.link[p]
+        s = links.scene[p]
+        base = scenes.row[s].spheres
+        i, j, k = base + link[0], base + link[1], scenes.row[s].pairs + link[2]
+        dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
+        spin_i, spin_j = read_vec3(spheres.spin, i), read_vec3(spheres.spin, j)
+        pair = pair_touch(
+            read_vec4(spheres.position, i), read_vec4(spheres.velocity, i), spin_i, read_vec4(spheres.position, j),
+            read_vec4(spheres.velocity, j), spin_j, scalar(1.0), dt,
+        )  # fmt: skip
+        row = scenes.row[s].laws + read_int(spheres.material, i) * scenes.row[s].materials
+        old_history = t.vec3()
+        if wp.static(history):
+            old_history = read_vec3(pairs.history, k)
+        total, new_history, lost = contact_force(
+            parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
+        )
+        if wp.static(history):
+            write_vec3(pairs.history, k, new_history)
+        bond_moment = t.vec3()
+        if wp.static(bonds):
+            kind = pairs.bond[k]
+            total, bond_moment, lost, outcome = bonded(
+                pairs, bond_parameters, scenes.row[s].bonds, k, pair, spin_j - spin_i, total, lost, dt
+            )
+            if wp.static(healing):
+                if kind == UNBONDED:
+                    pairs.bond[scenes.row[s].pairs + link[3]] = pairs.bond[k]
+            if outcome < 0:
+                pairs.bond[scenes.row[s].pairs + link[3]] = outcome
+                if outcome == BROKEN_IN_TENSION:
+                    wp.atomic_add(spheres.broken, i, wp.vec2i(1, 0))
+                else:
+                    wp.atomic_add(spheres.broken, i, wp.vec2i(0, 1))
+        turn = wp.cross(pair.touch.normal, total)
+        pull(links, k, total, pair.arm_i * turn + bond_moment, lost)
+        pull(links, scenes.row[s].pairs + link[3], -total, pair.arm_j * turn - bond_moment, scalar(0.0))
+
+    return evaluate
+
+
+@functools.cache
+def surface_kernel(scalar, law, analytic: bool, dissipation: bool, width: int):
+    """Kernel over spheres, in whole warps of `width` threads (1 on a CPU): force and moment of each by planes and
+    pipes, to which meshes add theirs."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
+    Parameters = law.functions(scalar).Parameters
+    surface = analytic_wall_functions(scalar, law, False, dissipation)
+    Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
+    ballot = warp_functions(width).ballot
+    t = types(scalar)
+    rows = row_functions(scalar)
+    read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def surface_contacts(
+        # model
+        wall_parameters: wp.array(dtype=Parameters),
+        segments: wp.array(dtype=Segment),
+        # state, read
+        last: wp.int32,
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        slots: Slots,
+        walls: Walls,
+    ):
+        i = wp.min(wp.tid(), last - 1)
+        s = spheres.scene[i]
+        here = wp.tid() < last and flags[s, HALTED] == 0
+        far = wp.bool(True)
+        near = wp.bool(False)
+        if wp.static(analytic):
+            far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
+            near = here and (not far or scenes.row[s].still == 0)
+        force = t.vec3()
+        moment = t.vec3()
+        if ballot(near) != 0:
+            force, moment, lost = on_walls(
+                i, scenes.row[s], near, far, wp.tid() % width, scalar(scenes.clock[s, DT_PREVIOUS]),
+                scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
+            )  # fmt: skip
+            if wp.static(dissipation):
+                if near:
+                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+        if here:
+            write_vec3(spheres.force, i, force)
+            write_vec3(spheres.moment, i, moment)
+
+    return surface_contacts
+
+
+@functools.cache
+def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool,
+                width: int, candidates: int):  # fmt: skip
+    """Kernel over links: contacts of those that touch.
+
+    `width` is the threads of a warp (1 on a CPU), `candidates`, 1 or 4, the links that a thread looks at.
+    """
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    Parameters = law.functions(scalar).Parameters
+    Bond = bond_functions(scalar).Bond
+    looks = look_function(scalar, law, history, bonds, healing, subcycling, dissipation)
+    evaluate = link_functions(scalar, law, history, bonds, healing, dissipation)
+    together = warp_functions(width)
+    ballot, count_bits, find_bit = together.ballot, together.count_bits, together.find_bit
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def link_contacts(
+        # model
+        pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        # state, read
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        pairs: Pairs,
+        links: Links,
+    ):
+        lane = wp.tid() % width
+        first = wp.tid() / width * (width * candidates)
+        if wp.static(candidates == 1):
+            if looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane):
+                evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, first + lane)
+        else:
+            a = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane))
+            b = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + width + lane))
+            c = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 2 * width + lane))
+            d = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 3 * width + lane))
+            n_a = count_bits(a)
+            n_b = n_a + count_bits(b)
+            n_c = n_b + count_bits(c)
+            for rank in range(lane, n_c + count_bits(d), width):
+                p = first
+                if rank < n_a:
+                    p += find_bit(a, rank)
+                elif rank < n_b:
+                    p += width + find_bit(b, rank - n_a)
+                elif rank < n_c:
+                    p += 2 * width + find_bit(c, rank - n_b)
+                else:
+                    p += 3 * width + find_bit(d, rank - n_c)
+                evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, p)
+
+    return link_contacts
+
+
+@functools.cache
+def gather_kernel(scalar, dissipation: bool):
+    """Kernel over the spheres of full lists: force [N] and moment [N m] of each by its links."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    _, pulled = pull_functions(scalar)
+    write_vec3 = row_functions(scalar).write_vec3
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def gather_contacts(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links
+    ):
+        i = wp.tid()
+        s = spheres.scene[i]
+        if flags[s, HALTED] != 0:
+            return
+        force, moment, lost = pulled(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
+        write_vec3(links.force, i, force)
+        write_vec3(links.moment, i, moment)
+        if wp.static(dissipation):
+            links.lost[i] = lost
+
+    return gather_contacts
