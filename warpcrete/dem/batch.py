@@ -36,7 +36,7 @@ OLD = 256
 """Steps after which threads have larger graphs captured: chunks may change before."""
 PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
-thirds to the whole of one's time at a thousand spheres, one to two and a half times it at half as many."""
+thirds to the whole of one's time at a thousand spheres, one and a quarter to twice it at half as many."""
 CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
 BATCH_LAUNCH = 32  # steps in flight before scenes that halted are looked after, where there are several
 
