@@ -63,26 +63,29 @@ class StableStep:
         self._known.clear()
 
     def _estimate_for(self, scenes: list[int]) -> None:
-        if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
-            self._recorded.clear()
-            self._version = self.batch.version
-        # A CPU goes through the spheres of one scene, chunk by chunk.
-        which = -1 if self.batch.parallel else scenes[0]
-        if which not in self._recorded:
-            self._recorded[which] = self._stages(which)
         due = np.zeros(self.batch.count, dtype=np.int32)
         due[scenes] = 1
         if not np.array_equal(due, self._due_before):
             self._due.assign(due)
             self._due_before = due
         self.batch.device_changed()
-        for stage in self._recorded[which]:
+        for stage in self._launches(scenes[0]):
             stage()
         self.batch.device_changed()
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
-        return self._stages(-1 if self.batch.parallel else 0)
+        return self._launches(0)
+
+    def _launches(self, s: int) -> list[Stage]:
+        if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
+            self._recorded.clear()
+            self._version = self.batch.version
+        # A CPU goes through the spheres of one scene, chunk by chunk.
+        which = -1 if self.batch.parallel else s
+        if which not in self._recorded:
+            self._recorded[which] = self._stages(which)
+        return self._recorded[which]
 
     def _stages(self, which: int) -> list[Stage]:
         """Stages for one scene, or (-1) for all that are due."""
