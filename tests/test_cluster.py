@@ -18,7 +18,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError, WarpcreteError
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.studies.cluster import LOCAL, check_scheduler, slurm_cluster
-from warpcrete.studies.running import kept, run_cases
+from warpcrete.studies.running import kept, run_cases, run_on_gpu
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
@@ -103,13 +103,28 @@ def test_a_case_that_was_cut_goes_on_from_its_checkpoint(tmp_path, monkeypatch):
     assert done["state_hash"] == alone.result["state_hash"]
 
 
-def test_one_case_of_a_part_that_cannot_begin_leaves_the_others(tmp_path):
-    cases = cases_of(BASE, {"velocity": [0.3, 0.6]})
-    (tmp_path / cases[0].name).write_text("in the way of its folder")
+def part_of_a_worker(record, folder, cases):
+    return run_cases(record, pipe_module, folder, cases, lambda: False)
+
+
+def batch_of_a_gpu(record, folder, cases):
+    found = {}
+
+    def book(case, outcome):
+        found[case.name] = outcome
+
+    run_on_gpu(record, pipe_module, folder, cases, book, lambda *_: None)
+    return [getattr(found[case.name], "result", found[case.name]) for case in cases]
+
+
+@pytest.mark.parametrize("run", [part_of_a_worker, batch_of_a_gpu])
+def test_one_case_of_a_part_that_cannot_begin_leaves_the_others(run, tmp_path):
+    wrong, sound = cases_of(BASE, {"velocity": [0.3, 0.6]})
     record = {"device": "cpu", "precision": "float32", "command": {"frames": 25.0, "checkpoint_every": 0.0}}
-    wrong = replace(cases[0], parameters=cases[0].parameters | {"velocity": -1.0})
-    found = run_cases(record, pipe_module, tmp_path, [wrong, cases[1]], lambda: False)
+    wrong = replace(wrong, parameters=wrong.parameters | {"velocity": -1.0})
+    found = run(record, tmp_path, [wrong, sound])
     assert isinstance(found[0], SceneError) and found[1]["finished"]
+    assert isinstance(run(record, tmp_path, [wrong])[0], SceneError)
 
 
 def test_an_interrupted_study_stops_at_the_next_samples(tmp_path):

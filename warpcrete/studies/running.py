@@ -50,22 +50,35 @@ def simulation_of(
     return simulation, checkpoint if checkpoint.is_file() else None
 
 
+def simulations_of(
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], told: Callable[[Case], Progress]
+) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
+    """What :func:`simulation_of` makes of each case on one thread, and what those failed with that it refuses."""
+    made, refused = {}, {}
+    for case in cases:
+        try:
+            made[case.name] = simulation_of(record, module, folder, case, 1, told(case))
+        except Exception as error:  # of this case alone
+            refused[case.name] = error
+    return made, refused
+
+
 def run_on_gpu(
     record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book, tell: Progress
 ) -> None:
     """All cases as the method runs many."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
-    def told(name: str) -> Progress:
+    def told(case: Case) -> Progress:
         def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
             if phase == "running":
-                done[name] = fraction
+                done[case.name] = fraction
                 tell("running", sum(done.values()) / len(done), {})
 
         return hear
 
-    pairs = [simulation_of(record, module, folder, case, 1, told(case.name)) for case in pending]
-    simulations = [simulation for simulation, _ in pairs]
+    made, found = simulations_of(record, module, folder, pending, told)
+    simulations = [simulation for simulation, _ in made.values()]
     with StopAtSample(simulations) as stop:
 
         def packing(phase: str, fraction: float) -> None:
@@ -74,10 +87,19 @@ def run_on_gpu(
                     raise KeyboardInterrupt
                 tell(phase, fraction, {})
 
-        method = method_of(simulations[0].scene)
-        outcomes = method.run_many(simulations, [checkpoint for _, checkpoint in pairs], packing)
-    for case, outcome in zip(pending, outcomes):
-        book(case, outcome)
+        found |= _outcomes(made, packing)
+    for case in pending:
+        book(case, found[case.name])
+
+
+def _outcomes(
+    made: dict[str, tuple[Simulation, Path | None]], tell: Callable[[str, float], None]
+) -> dict[str, Run | BaseException]:
+    """Run simulations as their method runs many."""
+    if not made:
+        return {}
+    simulations, checkpoints = zip(*made.values())
+    return dict(zip(made, method_of(simulations[0].scene).run_many(simulations, checkpoints, tell)))
 
 
 def run_in_processes(
@@ -156,21 +178,10 @@ def run_cases(
 
     if not cases or asked():
         return [None] * len(cases)
-    found: dict[str, Any] = {}
-    begun, checkpoints = [], []
-    for case in cases:
-        try:
-            simulation, checkpoint = simulation_of(record, module, folder, case, 1, hear)
-        except Exception as error:  # of this case alone
-            found[case.name] = error
-        else:
-            begun.append(case.name)
-            simulations.append(simulation)
-            checkpoints.append(checkpoint)
-    if begun:
-        run_many = method_of(simulations[0].scene).run_many
-        outcomes = run_many(simulations, checkpoints, lambda phase, fraction: hear(phase, fraction, {}))
-        found |= dict(zip(begun, map(_plain, outcomes)))
+    made, found = simulations_of(record, module, folder, cases, lambda case: hear)
+    simulations += [simulation for simulation, _ in made.values()]
+    outcomes = _outcomes(made, lambda phase, fraction: hear(phase, fraction, {}))
+    found |= {name: _plain(outcome) for name, outcome in outcomes.items()}
     return [found[case.name] for case in cases]
 
 
