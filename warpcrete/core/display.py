@@ -121,7 +121,13 @@ class Display(ABC):
 
     def read(self, path: str) -> np.ndarray:
         """An array of the state by its path, such as "bodies.velocity", at the moment that is drawn."""
-        return self.once(path, lambda: attrgetter(path)(self.simulation.state).numpy().copy())
+
+        def now() -> np.ndarray:
+            array = attrgetter(path)(self.simulation.state)
+            # On a CPU `numpy` gives the array itself, which the run goes on with.
+            return array.numpy().copy() if array.device.is_cpu else array.numpy()
+
+        return self.once(path, now)
 
     def once(self, name: str, source: Callable[[], Any]) -> Any:
         """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now."""
