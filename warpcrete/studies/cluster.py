@@ -1,7 +1,7 @@
-"""Studies on several GPUs or machines: Dask's scheduler and workers, one a GPU or a core.
+"""Studies and trades on several GPUs or machines: Dask's scheduler and workers, one a GPU or a core.
 
-Folders are those of a study on one machine, which all workers must see under the same path, and so are the bits. When a
-worker is lost, another one goes on with what it had from the last checkpoints.
+Folders are those of one machine, which all workers must see under the same path, and so are the bits. When a worker is
+lost, another one goes on with what it had, of a study from the last checkpoints.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
 
 from ..core.device import default_threads, find_device
 from ..core.errors import WarpcreteError, between, refuse
-from ..core.interrupts import leave_to_parent
-from ..core.provenance import provenance
+from ..core.interrupts import StopAtSample, leave_to_parent
+from ..core.provenance import processor, provenance
 from .cases import Case
 from .running import Book, kept, run_cases
 
@@ -32,17 +33,22 @@ SCHEDULERS = ("local", "slurm")
 LOCAL = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
 """Of a scheduler for one machine: nobody else can reach it."""
 LOOK = 1.0
-"""From one question whether to stop to the next, of a worker [s]."""
+"""From one question whether to stop to the next [s]."""
 CONNECT = 20.0
 """Time for a scheduler to answer, and for a worker to be there [s]."""
-_part = threading.Lock()
+T = TypeVar("T")
+_job = threading.Lock()
+
+
+class WorkerLost(WarpcreteError):
+    """A worker has died of every try of a job, or failed of what nobody foresaw."""
 
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
     """Refuse settings that contradict each other, and Dask that is missing."""
     if scheduler is None:
         if workers is not None:
-            refuse("workers", workers, "are those of a scheduler", "give one, or take processes")
+            refuse("workers", workers, "are those of a scheduler", "give one, too")
         return
     if processes is not None:
         refuse("processes", processes, "are those of a study without a scheduler", "take workers")
@@ -69,57 +75,120 @@ class Cluster:
     def __init__(self, client: Any, scheduler: str, workers: int | None) -> None:
         self._client, self._scheduler, self._workers = client, scheduler, workers
 
+    @property
+    def count(self) -> int:
+        """Workers that there are now, at least 1."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
+    def device(self, wanted: str | None) -> str | None:
+        """Name of a device, as a worker finds it; a job of SLURM has a GPU only where one was asked for."""
+        return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
+
+    def ask(self, function: Callable[..., T], *arguments: Any) -> T:
+        """What a function returns on a worker."""
+        found = _outcome(self._client.submit(function, *arguments, pure=False))
+        if isinstance(found, Exception):
+            raise found
+        return found
+
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
         """Device that a worker takes for `device`, and its provenance."""
-        if self._scheduler == "slurm":
-            device = device or "cpu"
-        return self._client.submit(_machine, unnumbered(device), precision, seed, pure=False).result()
+        return self.ask(_machine, self.device(device), precision, seed)
+
+    def hardware(self, device: str | None) -> str:
+        """What all workers that there are compute on; raises :class:`WarpcreteError` if that is not the same."""
+        found = sorted(set(self._client.run(hardware, self.device(device)).values()))
+        if len(found) > 1:
+            raise WarpcreteError(
+                f"scheduler = {self._scheduler!r}: has workers that differ ({', '.join(found)}), whose times would not "
+                "compare; take workers of one kind"
+            )
+        return found[0]
 
     def run(self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book) -> None:
-        """Run cases: one a task on CPUs; on GPUs a part of all for each worker, which it runs as a batch."""
-        from dask.distributed import Event, wait
-
-        name = f"stop-{os.getpid()}-{time.time_ns()}"
-        stop = Event(name, client=self._client)
+        """Run cases: one a job on CPUs; on GPUs a part of all for each worker, which it runs as a batch."""
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
-            count = self._workers or len(self._client.scheduler_info(n_workers=-1)["workers"])
+            count = self._workers or self.count
             parts = [part for k in range(count) if (part := pending[k::count])]
+
+        def booked(part: list[Case], found: Any) -> None:
+            for case, outcome in zip(part, [found] * len(part) if isinstance(found, Exception) else found):
+                book(case, outcome)
+
+        with StopAtSample([]) as gap:
+            self.each(_run_part, (record, module, folder), zip(parts, parts), booked, gap)
+
+    def each(
+        self,
+        function: Callable[..., Any],
+        where: tuple[dict[str, Any], Any, Path],
+        jobs: Iterator[tuple[T, Any]],
+        book: Callable[[T, Any], None],
+        gap: StopAtSample,
+        *,
+        lazily: bool = False,
+    ) -> None:
+        """Have workers do jobs, `function(record, module, folder, job, asked)` of each; `where` is the first three.
+
+        `jobs` come with a tag, by which `book` is told what was returned or raised. `lazily`, as many are taken as
+        there are workers, and another when one is done. When `gap` hears a Ctrl-C, `asked` says so to those that run,
+        and what has not begun is left.
+        """
+        from dask.distributed import Event, wait
+        from dask.distributed import TimeoutError as NotYet
+
+        name = f"stop-{os.getpid()}-{time.time_ns()}"
+        stop, stopping = Event(name, client=self._client), False
+        record, module, folder = where
         common = record | {"device": unnumbered(record["device"])}, module.__name__, str(folder.resolve())
-        running = {self._client.submit(_run_part, *common, part, name, pure=False): part for part in parts}
-        while running:
-            try:
-                with self._client.as_current():
-                    ended: Any = wait(list(running), return_when="FIRST_COMPLETED")
+        running: dict[Any, T] = {}
+        try:
+            while True:
+                for tag, job in islice(jobs, max(0, self.count - len(running)) if lazily else None):
+                    running[self._client.submit(_do, function, *common, job, name, pure=False)] = tag
+                if gap.asked and not stopping:
+                    stopping = True
+                    stop.set()  # those that run end at their next sample
+                    with_workers = {key for keys in self._client.processing().values() for key in keys}
+                    for future in [future for future in running if future.key not in with_workers]:
+                        future.cancel()
+                        del running[future]
+                if not running:
+                    return
+                try:
+                    with self._client.as_current():
+                        ended: Any = wait(list(running), timeout=LOOK, return_when="FIRST_COMPLETED")
+                except NotYet:
+                    continue
                 for future in ended.done:
-                    part = running.pop(future)
-                    try:
-                        outcomes = future.result()
-                    except Exception as broken:  # a worker that died of every try, or what nobody foresaw
-                        outcomes = [WarpcreteError(f"its worker failed: {type(broken).__name__}: {broken}")] * len(part)
-                    for case, outcome in zip(part, outcomes):
-                        book(case, outcome)
-            except KeyboardInterrupt:
-                if stop.is_set():
-                    raise
-                stop.set()  # those that run end at their next sample
-                with_workers = {key for keys in self._client.processing().values() for key in keys}
-                for future in [future for future in running if future.key not in with_workers]:
-                    future.cancel()
-                    del running[future]
-            except WarpcreteError:
-                raise
-            except Exception as lost:
-                raise WarpcreteError(f"scheduler = {self._scheduler!r}: is lost: {type(lost).__name__}") from lost
+                    book(running.pop(future), _outcome(future))
+        except WarpcreteError:
+            stop.set()  # nobody waits for the others
+            raise
+        except Exception as lost:
+            raise WarpcreteError(f"scheduler = {self._scheduler!r}: is lost: {type(lost).__name__}") from lost
+
+
+def _outcome(future: Any) -> Any:
+    try:
+        return future.result()
+    except WarpcreteError as error:
+        return error
+    except Exception as broken:
+        return WorkerLost(f"its worker failed: {type(broken).__name__}: {broken}")
 
 
 @contextmanager
-def open_cluster(scheduler: str | None, workers: int | None, device: str | None) -> Iterator[Cluster | None]:
+def open_cluster(
+    scheduler: str | None, workers: int | None, device: str | None, threads: int = 1
+) -> Iterator[Cluster | None]:
     """Workers by the name or the address of a scheduler; None without one.
 
-    `local` starts processes here, as many as `workers` or one a GPU, or one a core where the device is a CPU; `slurm`
-    submits `workers` jobs (default 1) as Dask's configuration describes them, for GPUs if `device` names one. Raises
-    :class:`SceneError` for settings that cannot be, :class:`WarpcreteError` where no scheduler answers.
+    `local` starts processes here, as many as `workers` or one a GPU, or on a CPU one for so many cores as a run has
+    `threads`; `slurm` submits `workers` jobs (default 1) as Dask's configuration describes them, for GPUs if `device`
+    names one. Raises :class:`SceneError` for settings that cannot be, :class:`WarpcreteError` where no scheduler
+    answers.
     """
     if scheduler is None:
         yield None
@@ -129,14 +198,14 @@ def open_cluster(scheduler: str | None, workers: int | None, device: str | None)
     made = None
     try:
         if scheduler == "local":
-            made = local_cluster(workers, device)
+            made = local_cluster(workers, device, threads)
             workers = len(made.worker_spec)
         elif scheduler == "slurm":
             if shutil.which("sbatch") is None:
                 raise WarpcreteError(
                     "scheduler = 'slurm': there is no sbatch here; begin on a machine that submits jobs"
                 )
-            made, workers = slurm_cluster(device), workers or 1
+            made, workers = slurm_cluster(device, threads), workers or 1
             made.scale(jobs=workers)
         try:
             client = Client(made or scheduler, timeout=CONNECT, set_as_default=False)
@@ -154,8 +223,8 @@ def open_cluster(scheduler: str | None, workers: int | None, device: str | None)
             made.close()
 
 
-def local_cluster(workers: int | None, device: str | None) -> Any:
-    """Worker processes on this machine, each with one thread; of GPUs each sees its own alone."""
+def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> Any:
+    """Worker processes on this machine, each for one run at a time; of GPUs each sees its own alone."""
     from dask.distributed import Nanny, Scheduler, SpecCluster
 
     environments: list[dict[str, str]]
@@ -169,7 +238,7 @@ def local_cluster(workers: int | None, device: str | None) -> Any:
             refuse("workers", workers, f"are more than there are GPUs here, {len(numbers)}", "take one a GPU")
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
-        environments = [{} for _ in range(workers or default_threads())]
+        environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
     # The variables are set when a worker's process begins, before Warp looks for devices.
     options = {
         "nthreads": 1,
@@ -185,22 +254,27 @@ def local_cluster(workers: int | None, device: str | None) -> Any:
     )
 
 
-def slurm_cluster(device: str | None) -> Any:
-    """Jobs of SLURM by `jobqueue.slurm` of Dask's configuration; what that leaves open is a core, 4 GB and one GPU."""
+def slurm_cluster(device: str | None, threads: int = 1) -> Any:
+    """Jobs of SLURM by `jobqueue.slurm` of Dask's configuration; what that leaves open is a core for each thread of a
+    run, 4 GB and one GPU.
+    """
     import dask.config
     from dask_jobqueue.slurm import SLURMCluster
 
     given = dask.config.get("jobqueue.slurm", {})
-    cores = given.get("cores") or 1
+    on_gpu = (device or "cpu").startswith("cuda")
+    cores = given.get("cores") or (1 if on_gpu else threads)
+    if not on_gpu and threads > cores:
+        refuse("threads", threads, f"are more than a job has cores, {cores}", "see jobqueue.slurm.cores")
     gpu = ("--gres", "--gpus", "-G")
     directives = list(given.get("job-extra-directives") or [])
-    on_gpu = (device or "cpu").startswith("cuda")
     if on_gpu and not any(each.strip().startswith(gpu) for each in directives):
         directives.append("--gres=gpu:1")
-    # A worker has one thread, as a process runs one part at a time.
+    # A worker has one thread, as a process does one job at a time, whatever threads its run has.
+    processes = 1 if on_gpu else cores // threads
     return SLURMCluster(
-        cores=1 if on_gpu else cores,
-        processes=1 if on_gpu else cores,
+        cores=processes,
+        processes=processes,
         job_cpu=given.get("job-cpu") or cores,
         memory=given.get("memory") or "4 GB",
         job_extra_directives=directives,
@@ -223,20 +297,25 @@ def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[s
     return str(found), provenance(found, precision, seed)
 
 
-def _run_part(record: dict[str, Any], module_name: str, folder: str, cases: list[Case], stop: str) -> list[Any]:
-    """Cases, on a worker; those that it, or one that was lost, has finished before are not run again.
-
-    One part at a time, whatever threads a worker has: to capture launches a process has one place.
-    """
-    with _part:
-        return _run_alone(record, module_name, folder, cases, stop)
+def hardware(device: str | None) -> str:
+    """What computes there: a GPU or a CPU, by its model."""
+    found = find_device(device)
+    return found.name if found.is_cuda else processor()
 
 
-def _run_alone(record: dict[str, Any], module_name: str, folder: str, cases: list[Case], stop: str) -> list[Any]:
-    module, place = importlib.import_module(module_name), Path(folder)
-    found = {case.name: kept(place / case.name) for case in cases}
+def _do(function: Callable[..., T], record: dict[str, Any], module_name: str, folder: str, job: Any, stop: str) -> T:
+    """A job, on a worker; one at a time, whatever threads it has: to capture launches a process has one place."""
+    with _job:
+        return function(record, importlib.import_module(module_name), Path(folder), job, _asked(stop))
+
+
+def _run_part(
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
+) -> list[Any]:
+    """Cases of a study; those that this worker, or one that was lost, has finished before are not run again."""
+    found = {case.name: kept(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]
-    found |= dict(zip((case.name for case in left), run_cases(record, module, place, left, _asked(stop))))
+    found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, asked)))
     return [found[case.name] for case in cases]
 
 

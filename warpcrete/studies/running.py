@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ Book = Callable[[Case, Any], None]
 
 
 def simulation_of(
-    record: dict[str, Any], module: Any, folder: Path, case: Case, threads: int, tell: Progress
+    record: dict[str, Any], module: Any, folder: Path, case: Case, tell: Progress
 ) -> tuple[Simulation, Path | None]:
     """Simulation of a case, into its run folder, and the checkpoint that it goes on from, if there is one."""
     here, command = folder / case.name, record["command"]
@@ -38,8 +38,8 @@ def simulation_of(
     simulation = Simulation(
         module.scene(**case.parameters),
         device=record["device"],
-        precision=record["precision"],
-        threads=threads,
+        precision=record.get("precision"),
+        threads=record.get("threads", 1),
         recorders=recorders_of(here, module.check, command),
         frame_interval=1.0 / command["frames"],
         progress=tell,
@@ -53,11 +53,11 @@ def simulation_of(
 def simulations_of(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], told: Callable[[Case], Progress]
 ) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
-    """What :func:`simulation_of` makes of each case on one thread, and what those failed with that it refuses."""
+    """What :func:`simulation_of` makes of each case, and what those failed with that it refuses."""
     made, refused = {}, {}
     for case in cases:
         try:
-            made[case.name] = simulation_of(record, module, folder, case, 1, told(case))
+            made[case.name] = simulation_of(record, module, folder, case, told(case))
         except Exception as error:  # of this case alone
             refused[case.name] = error
     return made, refused
@@ -163,11 +163,23 @@ def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case)
 def run_cases(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases as the method runs many, on one thread of a CPU, until `asked` to stop.
+    """Run cases as the method runs many, on a CPU with one thread or as many as `record` says, until `asked` to stop.
 
     Returns for each its result.json, what it failed with, or None if it had not begun.
     """
     simulations: list[Simulation] = []
+    hear = heard(asked, simulations)
+    if not cases or asked():
+        return [None] * len(cases)
+    made, found = simulations_of(record, module, folder, cases, lambda case: hear)
+    simulations += [simulation for simulation, _ in made.values()]
+    outcomes = _outcomes(made, lambda phase, fraction: hear(phase, fraction, {}))
+    found |= {name: _plain(outcome) for name, outcome in outcomes.items()}
+    return [found[case.name] for case in cases]
+
+
+def heard(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
+    """Progress callback that ends a run at its next sample, and what comes before it at once, when `asked` says so."""
 
     def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         if asked():
@@ -176,13 +188,7 @@ def run_cases(
             for simulation in simulations:
                 simulation.stop_requested = True
 
-    if not cases or asked():
-        return [None] * len(cases)
-    made, found = simulations_of(record, module, folder, cases, lambda case: hear)
-    simulations += [simulation for simulation, _ in made.values()]
-    outcomes = _outcomes(made, lambda phase, fraction: hear(phase, fraction, {}))
-    found |= {name: _plain(outcome) for name, outcome in outcomes.items()}
-    return [found[case.name] for case in cases]
+    return hear
 
 
 def _plain(outcome: Any) -> Any:
