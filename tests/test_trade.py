@@ -17,8 +17,9 @@ from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.advice import advise, compact
+from warpcrete.studies.points import COMBINED, GIVEN, REFERENCE, Point
 from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import COMBINED, GIVEN, REFERENCE, Point, Trade
+from warpcrete.studies.trading import Trade
 
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 COARSE = dict(spacing=0.02)

@@ -169,7 +169,13 @@ def verify(**settings: Any) -> None:
     _part("verify").run(**settings)
 
 
-STUDY_HELP = """A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
+ON_WORKERS = """\
+  --scheduler WHICH      run on workers of Dask (pip install 'warpcrete[cluster]'): 'local' starts one a GPU or a core,
+                         'slurm' submits jobs as Dask's configuration has them, else a scheduler's address
+  --workers N            that a scheduler is to start
+"""
+
+STUDY_HELP = f"""A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
 Every option of `warpcrete run SCENE` that is a parameter of the scene takes one value or several; cases are all
 combinations. On a GPU those of discrete elements run side by side as batches and flows in turn, on a CPU all run in
@@ -182,10 +188,7 @@ processes, one a core. The folder holds study.md, study.csv, study.png and a run
   --resume FOLDER        go on with a study: finished cases are not run again
   --device, --precision  as for run
   --processes N          at a time on a CPU                                               [default: one a core]
-  --scheduler WHICH      run the cases on workers of Dask (pip install 'warpcrete[cluster]'): 'local' starts one a GPU
-                         or a core, 'slurm' submits jobs as Dask's configuration has them, else a scheduler's address
-  --workers N            that a scheduler is to start
-  --frames, --checkpoint-every, and recorders   as for run; no recordings unless asked for, as with --rerun
+{ON_WORKERS}  --frames, --checkpoint-every, and recorders   as for run; no recordings unless asked for, as with --rerun
   --quiet                no progress bar
 
 Exits with 1 if a case failed, with 3 if every case ended but a check of one failed, with 130 if it was interrupted.
@@ -201,21 +204,21 @@ def study_command(arguments: tuple[str, ...]) -> None:
     _part("study").run(list(arguments), _scenes())
 
 
-TRADE_HELP = """Speed against accuracy of a scene, measured: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
+TRADE_HELP = f"""Speed against accuracy of a scene, measured: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
 
 Turns what costs accuracy in the scene (time step, precision, sizes, walls, spacing, ...), each alone, then together,
-and finds the cheapest settings for errors of 20 to 1 %, which it tries with fresh seeds. Runs are made one at a time.
-The folder holds trade.md, trade.csv, trade.json, trade.png and a run folder for each run.
+and finds the cheapest settings for errors of 20 to 1 %, which it tries with fresh seeds. Runs are made one at a time,
+or one on each worker. The folder holds trade.md, trade.csv, trade.json, trade.png and a run folder for each run.
 
 \b
-  --budget TIME          wall time, as 90s, 20min or 2h                                   [default: 20min]
+  --budget TIME          wall time, however many workers, as 90s, 20min or 2h             [default: 20min]
   --quantity NAME ...    of result.json, whose errors count                               [default: the scene's]
   --knob NAME ...        only these, as 'time step'                                       [default: all of the scene]
   --repeat N             seeds of each setting                                            [default: 3]
   --out FOLDER           new folder                                                       [default: runs/trade-NNN]
   --resume FOLDER        go on with a trade for another --budget: runs that are there are used
-  --device, --threads    as for run
-  --quiet                no progress bar
+  --device, --threads    as for run; on workers the threads of each                        [default there: 1]
+{ON_WORKERS}  --quiet                no progress bar
 
 Exits with 2 for bad input, with 130 if it was interrupted.
 """

@@ -21,21 +21,21 @@ CASE_FAILED = 1
 """Exit code of a study of which a case ended with an error."""
 RECORDED = tuple(kind.name for kind in RECORDERS)
 FLAGS = ("one-at-a-time", *RECORDED, "quiet")
+ON_WORKERS = {"scheduler": str, "workers": int}
 SETTINGS = {
+    **ON_WORKERS,
     "repeat": int,
     "out": Path,
     "resume": Path,
     "device": str,
     "precision": str,
     "processes": int,
-    "scheduler": str,
-    "workers": int,
     "frames": float,
     "checkpoint-every": float,
 }
 
 
-WHERE = ("processes", "scheduler", "workers")
+WHERE = ("processes", *ON_WORKERS)
 """Settings that say where cases run, which a study may go on with others of."""
 
 

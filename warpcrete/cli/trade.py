@@ -15,10 +15,10 @@ from ..studies.trade import resume_trade, run_trade
 from ..studies.trade_report import table
 from ..studies.trading import Trade
 from .run import INTERRUPTED
-from .study import parameter_values, parsed, single
+from .study import ON_WORKERS, parameter_values, parsed, single
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-ONE = {"budget": str, "repeat": int, "out": Path, "resume": Path, "device": str, "threads": int}
+ONE = {"budget": str, "repeat": int, "out": Path, "resume": Path, "device": str, "threads": int, **ON_WORKERS}
 SEVERAL = ("quantity", "knob")
 
 
@@ -40,12 +40,13 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     for name, values in lists.items():
         if not values:
             raise click.UsageError(f"--{name}: needs a name or several")
-    budget = seconds(settings.pop("budget", "20min"))
+    anew = {name: settings.pop(name, None) for name in ON_WORKERS}
+    anew["budget"] = seconds(settings.pop("budget", "20min"))
     progress = ProgressBar()
     tell = None if quiet else progress
     try:
         if "resume" in settings:
-            trade = _resumed(scene, settings, options | lists, modules, budget, tell)
+            trade = _resumed(scene, settings, options | lists, modules, anew | {"progress": tell})
         else:
             if scene not in modules:
                 raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
@@ -54,10 +55,10 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
                 if len(given) > 1:
                     raise click.UsageError(f"--{name}: takes one value; what varies are the scene's knobs")
             trade = run_trade(
-                scene, modules[scene], base={name: given[0] for name, given in values.items()}, budget=budget,
+                scene, modules[scene], base={name: given[0] for name, given in values.items()}, progress=tell,
                 out=settings.get("out") or next_folder("trade"), repeat=settings.get("repeat"),
                 quantities=lists.get("quantity"), knobs=lists.get("knob"), device=settings.get("device"),
-                threads=settings.get("threads"), progress=tell,
+                threads=settings.get("threads"), **anew,
             )  # fmt: skip
     finally:
         progress.close()
@@ -65,17 +66,23 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def _resumed(
-    scene: str | None, settings: dict[str, Any], rest: dict[str, Any], modules: dict[str, Any], budget: float, tell: Any
+    scene: str | None,
+    settings: dict[str, Any],
+    rest: dict[str, Any],
+    modules: dict[str, Any],
+    anew: dict[str, Any],
 ) -> Trade:
     folder = settings.pop("resume")
     if scene is not None or settings or rest:
-        raise click.UsageError(f"resume = '{folder}': goes on as the trade began; only --budget is new")
+        raise click.UsageError(
+            f"resume = '{folder}': goes on as the trade began; only --budget, --scheduler and --workers are new"
+        )
     if not (folder / "trade.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no trade's folder (it holds no trade.json)")
     name = read_json(folder / "trade.json").get("scene")
     if name not in modules:
         raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
-    return resume_trade(folder, modules[name], budget=budget, progress=tell)
+    return resume_trade(folder, modules[name], **anew)
 
 
 def report(trade: Trade) -> None:

@@ -3,26 +3,30 @@
 First the scene as it is given, then each knob alone, then all knobs as fine as the budget allows (the reference, where
 no closed form is one), then the combinations that the measurements suggest for errors of 20 to 1 %. What such a
 combination promises is tried with seeds that no other run had. Every run fills a folder of its own, so a trade that is
-started again uses what is there; runs are made one at a time, or their times would mean nothing.
+started again uses what is there. Runs are made one at a time, on workers each of them, or their times would mean
+nothing.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..core.device import default_threads, find_device
-from ..core.errors import RunFolderError, positive, refuse
+from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
-from ..core.provenance import provenance
+from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
+from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
+from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
 from .trade_report import write
-from .trading import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise, Tell, Trade
+from .trading import Tell, Trade
 
-SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "progress")
+SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH = 3
 """Seeds that a promise is tried with, besides those that it was made from."""
 ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
@@ -32,8 +36,8 @@ ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
 
-    Settings (`budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `progress`) are those of
-    :func:`run_trade`; all else in `given` are parameters of the scene. `out` is the new folder (default:
+    Settings (`budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers`, `progress`)
+    are those of :func:`run_trade`; all else in `given` are parameters of the scene. `out` is the new folder (default:
     runs/trade-NNN). Raises what that raises.
     """
     module = getattr(scene, "module", None)
@@ -56,15 +60,20 @@ def run_trade(
     repeat: int | None = None,
     device: str | None = None,
     threads: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
     progress: Tell | None = None,
 ) -> Trade:
     """Measure speed against accuracy of the scene `module.scene` with parameters `base` into the new folder `out`.
 
     `budget` is wall time [s]; `quantities` are those that errors are of, `knobs` those that are turned (default: all
-    of the scene), `repeat` the seeds of each setting (default 3; 1 where nothing is random). Raises
-    :class:`SceneError` before anything is written where that cannot be done, and after the first run where the budget
-    does not reach for a second.
+    of the scene), `repeat` the seeds of each setting (default 3; 1 where nothing is random). With a `scheduler` runs
+    are made side by side on the `workers` of :func:`warpcrete.studies.cluster.open_cluster`, one at a time on each,
+    which has a GPU, or the cores of its `threads` (default 1), to itself; the budget stays wall time, in which more is
+    measured. Raises :class:`SceneError` before anything is written where that cannot be done, and after the first run
+    where the budget does not reach for a second.
     """
+    check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
     if trading is None:
         refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
@@ -89,39 +98,94 @@ def run_trade(
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
     positive("budget", budget, "s")
-    found = find_device(device)
-    Simulation(scene, device=device, precision=scene.precision, threads=threads)  # refuses what it cannot take
+    threads = 1 if threads is None and scheduler else threads
+    _check_cores(scheduler, workers, device, threads)
     check_new(out)
-    out.mkdir(parents=True)
-    record = {
-        "scene": scene_name,
-        "parameters": parameters,
-        "quantities": chosen,
-        "knobs": list(knobs or all_knobs),
-        "repeat": (repeat or 3) if seeded else 1,
-        "seeded": seeded,
-        "device": str(found),
-        "threads": threads or default_threads(),
-        "provenance": provenance(found, scene.precision, int(getattr(scene, "seed", 0))),
-    }
-    write_json(out / "trade.json", record)
-    return resume_trade(out, module, budget=budget, progress=progress)
+    with open_cluster(scheduler, workers, device, threads or 1) as cluster:
+        if cluster is None:
+            found, made_by = _machine(module, parameters, device, threads)
+        else:
+            cluster.hardware(device)
+            found, made_by = cluster.ask(_machine_of, module.__name__, parameters, cluster.device(device), threads)
+        out.mkdir(parents=True)
+        record = {
+            "scene": scene_name,
+            "parameters": parameters,
+            "quantities": chosen,
+            "knobs": list(knobs or all_knobs),
+            "repeat": (repeat or 3) if seeded else 1,
+            "seeded": seeded,
+            "device": found,
+            "threads": threads or default_threads(),
+            "provenance": made_by,
+        }
+        write_json(out / "trade.json", record)
+        return _go_on(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
 
 
-def resume_trade(folder: Path, module: Any, *, budget: float = 1200.0, progress: Tell | None = None) -> Trade:
-    """Go on with a trade for another `budget` of wall time [s]; runs that are there are used."""
+def _machine(
+    module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
+) -> tuple[str, dict[str, Any]]:
+    """Device that a scene runs on, and its provenance; refuses what cannot be simulated there."""
+    scene = module.scene(**parameters)
+    found = Simulation(scene, device=device, precision=scene.precision, threads=threads).device
+    return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
+
+
+def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]:
+    return _machine(importlib.import_module(module_name), *arguments)
+
+
+def _check_cores(scheduler: str | None, workers: int | None, device: str | None, threads: int | None) -> None:
+    """Refuse workers that would have to share cores, as then their times would mean nothing."""
+    cores = default_threads()
+    between("threads", 1 if threads is None else threads, 1, float("inf"))
+    if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
+        refuse(
+            "workers", workers, f"and threads = {threads} want more cores than there are here, {cores}",
+            "times would be those of cores that are shared; take fewer",
+        )  # fmt: skip
+
+
+def resume_trade(
+    folder: Path,
+    module: Any,
+    *,
+    budget: float = 1200.0,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Tell | None = None,
+) -> Trade:
+    """Go on with a trade for another `budget` of wall time [s]; runs that are there are used.
+
+    It may go on with another `scheduler`, or without one, on the same kind of GPU or CPU.
+    """
+    check_scheduler(scheduler, workers)
     record = read_json(folder / "trade.json")
     try:
         trade = Trade(folder, module, record)
         version = record["provenance"]["warpcrete"]
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
-    now = provenance(find_device(trade.device), "float32", 0)["warpcrete"]
+    now = versions()["warpcrete"]
     if version != now:
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
     positive("budget", budget, "s")
-    trade.budget = budget
+    if scheduler is None:
+        find_device(trade.device)
+    # Of GPUs all that there are, as with a study.
+    device = unnumbered(trade.device)
+    _check_cores(scheduler, workers, device, trade.threads)
+    with open_cluster(scheduler, workers, device, trade.threads) as cluster:
+        if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
+            raise RunFolderError(f"'{folder}': holds times of {trade.hardware}, workers have {here}; they do not mix")
+        return _go_on(trade, budget, cluster, progress)
+
+
+def _go_on(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell | None) -> Trade:
+    trade.budget, trade.cluster = budget, cluster
     _measure(trade, progress or (lambda phase, fraction, figures: None))
+    trade.cluster = None
     return trade
 
 
@@ -148,7 +212,7 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
         if given.failure:
             refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
         return
-    needed = 2 * len(trade.seeds) * given.cost
+    needed = trade.rounds(2 * len(trade.seeds)) * given.cost
     if trade.spent > 0 and needed > trade.budget:  # of a trade that goes on, little may be left to do
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for a pair of runs" + " of every seed" * trade.has_seeds,
@@ -171,8 +235,7 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
     """Each level of each knob alone, the cheap ones first."""
     alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
-    for point in sorted(alone, key=trade.expected):
-        trade.run(point, trade.seeds, tell, ALONE_UNTIL)
+    trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, ALONE_UNTIL)
 
 
 def _finest(trade: Trade, tell: Tell) -> None:
@@ -190,7 +253,7 @@ def _finest(trade: Trade, tell: Tell) -> None:
     while True:
         top = {name: usable[-1] for name, usable in levels.items()}
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
-        if cost * len(trade.seeds) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
+        if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
         if top == trade.record.get("finest"):  # run before, when there was more left
             break
@@ -223,8 +286,7 @@ def _combine(trade: Trade, tell: Tell) -> None:
     }
     wanted = [cheapest_within(choices, target) for target in TARGETS]
     points = [trade.point(COMBINED, levels) for levels in wanted if levels is not None]
-    for point in sorted(points, key=trade.expected):
-        trade.run(point, trade.seeds, tell, COMBINED_UNTIL)
+    trade.run_all(sorted(points, key=trade.expected), trade.seeds, tell, COMBINED_UNTIL)
 
 
 def _promise(trade: Trade, tell: Tell) -> None:
@@ -254,13 +316,17 @@ def _promise(trade: Trade, tell: Tell) -> None:
 def _carried(
     trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Largest error of a point in each variant of the scene, as far as they are needed, and what it promises then."""
+    """Largest error of a point in each variant of the scene, as far as they are needed, and what it promises then.
+
+    As many are run at a time as there are workers for.
+    """
     found: dict[str, Error | None] = {}
     points: list[Point] = []
     bound = trade.promised(point)
-    for variant, changes in variants.items():
-        other = trade.carried(point, variant, changes)
-        trade.run(other, trade.seeds, tell)
+    others = [trade.carried(point, variant, changes) for variant, changes in variants.items()]
+    for number, (variant, other) in enumerate(zip(variants, others)):
+        if not trade.complete(other, trade.seeds):
+            trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
             continue  # no time was left
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None

@@ -9,7 +9,8 @@ from typing import Any
 from ..core.files import whole_file, write_json
 from ..core.units import shown
 from .fronts import Error, front
-from .trading import COMBINED, GIVEN, REFERENCE, Point, Trade
+from .points import COMBINED, GIVEN, REFERENCE, Point
+from .trading import Trade
 
 
 def percent(error: Error | None) -> str:
@@ -34,7 +35,7 @@ def table(trade: Trade) -> str:
     head = ["setting", "time [s]", "over as given", "work [million particle-steps]", "memory [MB]"]
     head += [f"{each.title} [{shown(each.unit)[1]}]" for each in trade.quantities]
     head += [f"error of {each.title}" for each in trade.quantities] + ["runs", "remarks"]
-    lines = [f"Errors against {against}.", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines = [f"Errors against {against}.{_beside(trade)}", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for point in sorted(trade.points, key=lambda p: p.cost if math.isfinite(p.cost) else math.inf):
         name = trade.label(point) + (f" ({REFERENCE})" if point.origin == REFERENCE else "")
         cells = [
@@ -54,6 +55,14 @@ def table(trade: Trade) -> str:
         remarks += ["front"] if any(point is one for one in best) else []
         lines.append("| " + " | ".join([*cells, str(len(point.results)), "; ".join(remarks)]) + " |")
     return "\n".join([*lines, "", *promises(trade)])
+
+
+def _beside(trade: Trade) -> str:
+    """What there is to know of times that were measured beside one another."""
+    most = trade.record.get("abreast", 1)
+    if most == 1:
+        return ""
+    return f" Up to {most} runs were made beside one another, each on a worker of its own: {trade.machine}."
 
 
 def promises(trade: Trade) -> list[str]:

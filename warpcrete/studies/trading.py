@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..core.device import find_device
 from ..core.errors import InstabilityError, SceneError, WarpcreteError
 from ..core.files import read_json
 from ..core.interrupts import StopAtSample
@@ -20,92 +17,18 @@ from ..core.knobs import Knob
 from ..core.method import Quantity
 from ..core.parameters import declared_fields
 from ..core.run_loop import Run
-from ..core.units import number
 from ..methods import Simulation, method_of
-from ..record.checks import failed_checks
 from ..record.recorders import recorders_of
-from .cases import word_of
-from .fronts import Error, difference, next_within, worst
+from .cases import Case, word_of
+from .cluster import Cluster, WorkerLost
+from .fronts import Error, difference, next_within
+from .points import CARRIED, GIVEN, REFERENCE, TARGETS, Point, Promise
+from .running import FAILED, kept
+from .trials import FEW, Trial, run_trial, warm_up
 
-FAILED = "failed.txt"
-TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Errors for which settings are sought."""
-GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Where a point comes from, besides a knob."""
+COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
+"""How workers record: no frames are drawn, and a run that was cut is made again, or its time would not be one."""
 Tell = Callable[[str, float, dict[str, Any]], None]
-
-
-@dataclass
-class Point:
-    """One setting of the scene, and what its runs came to."""
-
-    origin: str
-    """A knob's name, or one of the words above."""
-    levels: dict[str, int]
-    """Level of each knob that is not as the scene has it."""
-    parameters: dict[str, Any]
-    """All that the scene function is given, without the seed."""
-    results: dict[int, dict[str, Any]] = field(default_factory=dict)
-    """result.json by seed (0 where there are no seeds)."""
-    failure: str = ""
-    """What ended a run, or why there is none."""
-    errors: list[Error] = field(default_factory=list)
-    converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Quantities of another meaning here: (offset, factor), as :class:`warpcrete.core.knobs.Level` has them."""
-    variant: str = ""
-    """In what the scene differs from that of the trade; empty if in nothing."""
-    full: dict[str, Any] = field(default_factory=dict)
-    """All parameters that mean something, defaults included."""
-
-    def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """A quantity of the runs with these seeds."""
-        found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
-        offset, factor = self.converted.get(quantity, (0.0, 1.0))
-        return [offset + factor * (value - offset) for value in found]
-
-    @property
-    def cost(self) -> float:
-        """Median wall time of a run, packing and settling included [s]; NaN without one."""
-        parts = ("packing_time", "settling_time", "wall_time")
-        times = [sum(number(r["speed"][p]) for p in parts if p in r["speed"]) for r in self.results.values()]
-        return float(np.median(times)) if times else math.nan
-
-    @property
-    def work(self) -> float:
-        """Sphere-steps or particle-steps of a run, whatever the machine; NaN without one."""
-        counts = [float(r["steps"]) * (r.get("spheres") or r["particles"]) for r in self.results.values()]
-        return float(np.median(counts)) if counts else math.nan
-
-    @property
-    def memory(self) -> float:
-        """What a run takes on the device at its end [B]; NaN without one."""
-        taken = [number(r["speed"]["memory"]) for r in self.results.values() if "memory" in r["speed"]]
-        return float(np.median(taken)) if taken else math.nan
-
-    @property
-    def worst(self) -> Error | None:
-        """The largest error of the quantities."""
-        return worst(self.errors)
-
-    @property
-    def suspect(self) -> list[str]:
-        """Checks that a run failed."""
-        return sorted({name for result in self.results.values() for name in failed_checks(result)})
-
-
-@dataclass(frozen=True)
-class Promise:
-    """The cheapest setting found for a wanted error, and how it did with fresh seeds."""
-
-    target: float
-    point: Point | None
-    found: Error | None = None
-    """With seeds of its own; None where there was no time for them, or there are no seeds."""
-    carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene that it was tried on, by what that is and which checks it fails; None
-    where it does not run."""
-    bound: float = math.inf
-    """What is promised."""
 
 
 class Trade:
@@ -136,6 +59,8 @@ class Trade:
         self.interrupted = False
         self.gap = StopAtSample([])
         """Hears a Ctrl-C between runs."""
+        self.cluster: Cluster | None = None
+        """Workers that make the runs."""
 
     def __repr__(self) -> str:
         done = sum(bool(point.results) for point in self.points)
@@ -148,10 +73,20 @@ class Trade:
     @property
     def machine(self) -> str:
         """What times were measured on."""
+        if self.device.startswith("cuda"):
+            return self.hardware
+        return f"{self.hardware}, {self.threads} thread{'s' if self.threads > 1 else ''}"
+
+    @property
+    def hardware(self) -> str:
+        """The GPU or CPU by its model."""
         found = self.record["provenance"]
-        if find_device(self.device).is_cuda:
-            return found["device_name"]
-        return f"{found.get('processor') or 'a CPU'}, {self.threads} thread{'s' if self.threads > 1 else ''}"
+        return found["device_name"] if self.device.startswith("cuda") else found.get("processor") or "a CPU"
+
+    @property
+    def abreast(self) -> int:
+        """Runs that are made at a time, each on a worker of its own."""
+        return 1 if self.cluster is None else self.cluster.count
 
     @property
     def given(self) -> Point:
@@ -178,6 +113,10 @@ class Trade:
         """Points that have a cost and an error."""
         return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
                 and math.isfinite(p.worst.bound)]  # fmt: skip
+
+    def rounds(self, runs: int) -> int:
+        """How often the time of a run passes until so many are made."""
+        return math.ceil(runs / self.abreast)
 
     def label(self, point: Point) -> str:
         """What a point differs by from the scene as given."""
@@ -261,25 +200,58 @@ class Trade:
 
     def run(self, point: Point, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
         """Run what a point lacks; False if `until` of the budget does not reach, a run failed, or it was stopped."""
-        for seed in seeds:
-            if seed in point.results or point.failure:
-                continue
-            folder = self._folder(point, seed)
-            if self._known(point, seed, folder):
-                continue
-            if self.interrupted or self.gap.asked:
-                self.interrupted = True
-                return False
-            left = until * self.budget - self.spent
-            if not (point is self.given and not point.results) and self.expected(point) > left:
-                if not point.results:
-                    point.failure = f"not run: takes some {self.expected(point):.2g} s, {max(left, 0):.2g} s were left"
-                return False
-            begun = time.perf_counter()
-            tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
-            self._run(point, seed, folder)
-            self.spent += time.perf_counter() - begun
+        self.run_all([point], seeds, tell, until)
         return self.complete(point, seeds)
+
+    def run_all(self, points: Sequence[Point], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
+        """Run what points lack, in their order, as far as `until` of the budget reaches; on workers side by side."""
+        lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
+        if self.cluster is None:
+            for point, (seed, *_), _ in self._due(lacking, tell, until):
+                begun = time.perf_counter()
+                self._run(point, seed, self._folder(point, seed))
+                self.spent += time.perf_counter() - begun
+        elif lacking:
+            self._run_on(self.cluster, self._due(lacking, tell, until))
+
+    def _take_over(self, point: Point, seeds: Sequence[int]) -> list[int]:
+        """Use the runs of a point that are there; returns the seeds whose runs are not."""
+        for seed in seeds:
+            if seed not in point.results and not point.failure:
+                found = kept(self._folder(point, seed))
+                if isinstance(found, dict):
+                    point.results[seed] = found
+                elif found is not None:
+                    point.failures[seed] = str(found)
+        return [] if point.failure else [seed for seed in seeds if seed not in point.results]
+
+    def _due(
+        self, lacking: Sequence[tuple[Point, list[int]]], tell: Tell, until: float
+    ) -> Iterator[tuple[Point, list[int], float]]:
+        """What to run next: a point, seeds, and the time there is for them [s].
+
+        It is asked when somebody is free to run that, and goes by what runs came to until then. Where there are
+        points enough for all workers, one has all the seeds of a point, and loads its kernels once.
+        """
+        points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
+        for number, (point, seeds) in enumerate(points):
+            parts = len(seeds) if self.cluster is None else max(1, self.abreast // (len(points) - number))
+            size = math.ceil(len(seeds) / parts)
+            for first in range(0, len(seeds), size):
+                if point.failure:
+                    break
+                if self.interrupted or self.gap.asked:
+                    self.interrupted = True
+                    return
+                left = until * self.budget - self.spent
+                if not (point is self.given and not point.results) and self.expected(point) > left:
+                    if first == 0 and not point.results:
+                        point.left_out = (
+                            f"not run: takes some {self.expected(point):.2g} s, {max(left, 0):.2g} s were left"
+                        )
+                    break
+                tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
+                yield point, seeds[first : first + size], left
 
     def complete(self, point: Point, seeds: Sequence[int]) -> bool:
         """Every run is there."""
@@ -291,31 +263,18 @@ class Trade:
         words = "-".join([*point.variant.split(), words])
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
-    def _known(self, point: Point, seed: int, folder: Path) -> bool:
-        if (folder / FAILED).is_file():
-            point.failure = (folder / FAILED).read_text().strip()
-            return True
-        if (folder / "result.json").is_file():
-            result = read_json(folder / "result.json")
-            if result.get("finished") and "checks" in result:
-                point.results[seed] = result
-                return True
-        if folder.exists():
-            shutil.rmtree(folder)
-        return False
+    def _parameters(self, point: Point, seed: int) -> dict[str, Any]:
+        return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
     def _simulation(self, point: Point, seed: int, **settings: Any) -> Simulation:
-        scene = self.module.scene(**point.parameters, **({"seed": seed} if self.has_seeds else {}))
+        scene = self.module.scene(**self._parameters(point, seed))
         return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
 
     def _run(self, point: Point, seed: int, folder: Path) -> None:
+        outcome: Any
         try:
-            if len(self.seeds) < 3 and not point.results and not point.variant:
-                # One run of few, of which the median is no help, would be charged for loading kernels.
-                warm = self._simulation(point, seed)
-                warm.prepare()
-                warm.stepper.take(1)
-                warm.release()
+            if len(self.seeds) < FEW and not point.results and not point.variant:
+                warm_up(self._simulation(point, seed))
             simulation = self._simulation(point, seed, recorders=recorders_of(folder, self.module.check, {}))
             scene = simulation.scene
             with StopAtSample([simulation]) as stop:
@@ -323,13 +282,48 @@ class Trade:
             self.interrupted |= stop.asked
         except (WarpcreteError, KeyboardInterrupt) as error:
             outcome = error
-        if isinstance(outcome, Run) and outcome.finished:
-            point.results[seed] = read_json(folder / "result.json")
+        if isinstance(outcome, Run):
+            outcome = read_json(folder / "result.json") if outcome.finished else None
+        self._book(point, seed, outcome)
+
+    def _run_on(self, cluster: Cluster, due: Iterator[tuple[Point, list[int], float]]) -> None:
+        """Run on workers, one trial each at a time. Time spent is that of the wall, whatever there is of workers."""
+        before, begun, running = self.spent, time.perf_counter(), 0
+        record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
+
+        def jobs() -> Iterator[tuple[tuple[Point, list[int]], Trial]]:
+            nonlocal running
+            for point, seeds, left in due:
+                running += 1
+                self.record = {**self.record, "abreast": max(running, self.record.get("abreast", 1))}
+                cases = [Case(self._folder(point, s).name, {}, self._parameters(point, s)) for s in seeds]
+                yield (point, seeds), Trial(cases, len(seeds) < FEW and not point.variant, left)
+
+        def book(job: tuple[Point, list[int]], outcomes: Any) -> None:
+            nonlocal running
+            running -= 1
+            self.spent = before + time.perf_counter() - begun
+            point, seeds = job
+            for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
+                self._book(point, seed, outcome)
+            if point.failures:  # whichever ended first, it counts what seeds in their order come to
+                point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
+
+        where = record, self.module, self.folder / "runs"
+        cluster.each(run_trial, where, jobs(), book, self.gap, lazily=True)
+
+    def _book(self, point: Point, seed: int, outcome: Any) -> None:
+        """Note what came of a run: its result.json, what it failed with, or None if it was stopped."""
+        if isinstance(outcome, dict) and outcome.get("finished"):
+            point.results[seed] = outcome
         elif isinstance(outcome, InstabilityError | SceneError):
-            point.failure = f"failed: {outcome}"
+            point.failures[seed] = f"failed: {outcome}"
+            folder = self._folder(point, seed)
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / FAILED).write_text(f"{point.failure}\n")
-        elif isinstance(outcome, Run | KeyboardInterrupt):
+            (folder / FAILED).write_text(f"{point.failures[seed]}\n")
+        elif isinstance(outcome, WorkerLost):
+            point.left_out = f"not run: {outcome}"
+        elif isinstance(outcome, dict | KeyboardInterrupt | None):
             self.interrupted = True
         else:
             raise outcome
