@@ -141,7 +141,7 @@ BAD = [
     (["--diameter", "wide"], "diameter"),
     (["--no-such-option"], "no-such-option"),
     (["--seed", "-3"], "seed = -3"),
-    (["--hydration", "0.2", "--time-step", "5e-5"], "time_step = 5e-05"),
+    (["--hydration", "0.2", "--hydration-rounds", "1", "--time-step", "5e-5"], "time_step = 5e-05"),
     (["--live", "nowhere"], "live = 'nowhere'"),
     (["--sizes", "5:0,nan:0.4,20:1"], "openings"),
     (["--plug-pressure", "1e6"], "packing pressure"),

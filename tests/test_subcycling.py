@@ -167,7 +167,7 @@ def test_a_free_cluster_loses_what_its_dashpots_take_and_no_more(device, templat
     grid = np.stack(np.meshgrid(*[np.arange(3) - 1.0] * 3, indexing="ij"), -1).reshape(-1, 3)
     positions = grid * (0.999 if template is None else 0.8) * DIAMETER
     scene = scene_of(positions, velocities=random.normal(scale=0.02, size=positions.shape), template=template,
-                     spins=random.normal(scale=1.0, size=positions.shape), modulus=1e7)  # fmt: skip
+                     spins=random.normal(scale=1.0, size=positions.shape), modulus=1e8)  # fmt: skip
     stepper = bonded(scene, device, rounds=None)
     assert stepper.batch.subcycles.pair_count > 20
     stepper.take(1)
@@ -179,7 +179,7 @@ def test_a_free_cluster_loses_what_its_dashpots_take_and_no_more(device, templat
         found.append(energies(stepper))
     # Overlaps are measured where bodies will be at the end of the step, by their velocities: of spheres 4 % here.
     assert np.abs(np.array(found) - start).max() < 0.05 * kinetic
-    assert np.abs(np.array(found) - found[-1]).max() < 1e-3 * kinetic
+    assert np.abs(np.array(found) - found[-1]).max() < 2e-6 * start  # clumps overlap and hold a joule
     assert stepper.state.spheres.dissipated_energy.numpy().sum() > 0.1 * kinetic
 
 
@@ -233,7 +233,7 @@ def test_any_stiffness_is_stable(device, modulus):
     assert body_sums(stepper.model, stepper.state).kinetic_energy < 1.02 * first
 
 
-def healing_scene(seed=0, modulus=1e7):
+def healing_scene(seed=0, modulus=1e8):
     scene = mixed_scene(seed, energy_balance=True)
     weak = Bonds(effective_modulus=modulus, tensile_strength=2e4, cohesion=1e4)
     close = dataclasses.replace(scene.bodies[0], positions=0.78 * scene.bodies[0].positions + [0, 0, 0.01])
@@ -244,7 +244,7 @@ def healing_scene(seed=0, modulus=1e7):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_the_same_bits_alone_in_a_batch_and_resumed(device, precision, tmp_path):
-    some = [healing_scene(seed, 10.0 ** (7 + 0.5 * seed)) for seed in range(3)]
+    some = [healing_scene(seed, 10.0 ** (8 + 0.5 * seed)) for seed in range(3)]
     alone = [Simulation(scene, device=device, precision=precision, threads=1) for scene in some]
     for simulation in alone:
         simulation.run()
@@ -300,7 +300,7 @@ def test_who_asks_for_single_steps_gets_them(device):
     stiff = dict(hydration=0.2, hydration_modulus=1e9, plug="plate", **SMALL)
     scene = scenes.pipe(**stiff)
     assert build_model(scene, find_device(device), "float32").features.subcycling
-    single = dataclasses.replace(scene, time_step=TimeStep(rounds=1))
+    single = scenes.pipe(**stiff, hydration_rounds=1)
     damped = dataclasses.replace(scene, local_damping=0.1)
     soft = scenes.pipe(**(stiff | dict(hydration_modulus=1e6)))
     for other in (single, damped, soft):

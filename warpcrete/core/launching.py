@@ -340,6 +340,22 @@ class Launcher:
         return graphs
 
 
+def at_once(stages: list[Stage], device: Any) -> Callable[[], None]:
+    """Stages as one launch: on a GPU a graph, since launching a short kernel takes longer than the kernel."""
+
+    def one_by_one() -> None:
+        for stage in stages:
+            stage()
+
+    if not device.is_cuda:
+        return one_by_one
+    for stage in stages:
+        stage.record()
+    with wp.ScopedCapture(device=device) as capture:
+        one_by_one()
+    return functools.partial(wp.capture_launch, capture.graph)
+
+
 def _launch_beside(stages: list[Any], device: Any) -> None:
     """Launch a GPU's stages into the graph that is captured, those that are `beside` on a stream of their own."""
     main, side = device.stream, None

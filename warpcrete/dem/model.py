@@ -17,10 +17,7 @@ from ..kernels.common.geometry import axis_functions
 from ..kernels.common.walls import wall_struct
 from ..kernels.dem.bond_parallel import bond_functions
 from .laws import ContactLaw
-from .scene import Bonds, Scene
-
-MUCH_STIFFER = 50.0
-"""Modulus of hydrated bonds over all others from which on rounds within a step are worth their while."""
+from .scene import MUCH_STIFFER, Bonds, Scene
 
 
 @dataclass(frozen=True)

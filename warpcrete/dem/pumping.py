@@ -13,6 +13,7 @@ from ..core.errors import refuse
 from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from .laws.linear import DASHPOTS
+from .scene import MUCH_STIFFER
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
@@ -144,6 +145,12 @@ class RunParameters(Declared):
     settle: Annotated[float, "longest time to settle under gravity and plug pressure before the start [s]",
                       Within(0)] = 2.0  # fmt: skip
     time_step: Annotated[float | None, "fixed [s]; default: automatic", Above()] = None
+    hydration_rounds: Annotated[
+        int | None,
+        "within a step, in which hydrated bonds are stepped; default: as many as they need, where they are much "
+        "stiffer than all else; 1: none, so that they bound the step",
+        HYDRATED,
+    ] = None
     safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8
     overlap_limit: Annotated[
         float, "overlap at which the run stops, over that which swallows an aggregate; 0: no limit", Within(0)
@@ -271,6 +278,10 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     if given.bonds and given.hydration > 0:
         yield scaled("hydrated stiffness", "hydration_modulus", given.hydration_modulus, (0.01, 0.1, 1.0), 0.5, "Pa",
                      True)  # fmt: skip
+        much_stiffer = given.hydration_modulus >= MUCH_STIFFER * max(given.modulus, given.bond_modulus)
+        if given.hydration_rounds is None and given.time_step is None and much_stiffer:
+            single = Level("single steps", {"hydration_rounds": 1}, 3.0)
+            yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
         # What the wall carries goes with the length, if the stress there does not change along it.
         pushed = given.plug_pressure if given.plug != "none" else 0.0

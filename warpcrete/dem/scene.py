@@ -27,6 +27,11 @@ __all__ = [
 ]  # fmt: skip
 
 
+MUCH_STIFFER = 200.0
+"""Modulus of hydrated bonds over all others from which on rounds within a step pay: at 100 they take as long as single
+steps."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bonds(Declared):
     """Parallel bonds (Zhan et al. 2019, Eqs. 9-12)."""

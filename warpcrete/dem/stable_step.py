@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 import warp as wp
 
-from ..core.launching import Stage
+from ..core.launching import Stage, at_once
 from ..geometry.walls import Driven
 from ..kernels.dem.stable_step import (
     begin_kernel,
@@ -41,7 +42,7 @@ class StableStep:
         self._estimate.fastest = zeros("fastest", batch.count)
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._due_before = np.zeros(batch.count, dtype=np.int32)
-        self._recorded: dict[int, list[Stage]] = {}
+        self._recorded: dict[int, Callable[[], None]] = {}
         self._version = -1
         self._known: set[int] = set()
 
@@ -69,22 +70,21 @@ class StableStep:
             self._due.assign(due)
             self._due_before = due
         self.batch.device_changed()
-        for stage in self._launches(scenes[0]):
-            stage()
+        self._launch(scenes[0])()
         self.batch.device_changed()
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
-        return self._launches(0)
+        return self._stages(-1 if self.batch.parallel else 0)
 
-    def _launches(self, s: int) -> list[Stage]:
+    def _launch(self, s: int) -> Callable[[], None]:
         if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU goes through the spheres of one scene, chunk by chunk.
         which = -1 if self.batch.parallel else s
         if which not in self._recorded:
-            self._recorded[which] = self._stages(which)
+            self._recorded[which] = at_once(self._stages(which), self.batch.device)
         return self._recorded[which]
 
     def _stages(self, which: int) -> list[Stage]:
