@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from conftest import by_id
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
@@ -17,12 +18,16 @@ from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.launching import Stage, block_size, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
+from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
+from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.reductions import BLOCK
+from warpcrete.kernels.dem import links
+from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
 from warpcrete.mps import stages
@@ -267,7 +272,16 @@ def kernels_of_a_step(pick):
                                 healing=True, **SMALL)  # fmt: skip
             simulation = Simulation(scene, device="cpu")
             simulation.prepare()
-            stages = launches_of(simulation)
+            batch, features = simulation.stepper.batch, simulation.model.features
+            law, wall_law = features.pair_law, features.wall_law
+            # A CPU's warp is one thread; those of a GPU compile another text.
+            warps = [
+                links.link_kernel(batch.scalar, law, True, True, True, True, True, links.WARP),
+                links.surface_kernel(batch.scalar, wall_law, True, True, links.WARP),
+                *body_kernels(batch.scalar, True, False, True),
+                pair_kernel(batch.scalar, law, False, True, True, True),
+            ]
+            stages = [*launches_of(simulation), *(SimpleNamespace(kernel=kernel) for kernel in warps)]
         elif pick in GRIDS:
             simulation = Simulation(GRIDS[pick](), device="cpu")
             simulation.prepare()
@@ -290,3 +304,38 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (text,) = folder.glob("*.ptx")
         assert ".entry" in text.read_text()
+
+
+def test_a_sphere_with_more_entries_than_bits_feels_them_all():
+    """A large sphere that sixty small ones press on, some of which are thrown off and come back."""
+    turn = np.pi * (1 + 5**0.5) * np.arange(60)
+    height = 1 - 2 * (np.arange(60) + 0.5) / 60
+    out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
+    found = []
+    for way in (nullcontext, share_out_like_a_gpu):
+        with way():
+            scene = Scene(
+                name="urchin",
+                duration=1.0,
+                gravity=(0, 0, 0),
+                contact=Contact(friction=0.4),
+                energy_balance=True,
+                bodies=(
+                    Bodies(positions=[[0.0, 0, 0]], sizes=0.1, spins=np.array([[0.0, 0, 3.0]])),
+                    Bodies(positions=0.0549 * out, sizes=0.01, velocities=0.3 * out * (height[:, None] > 0.3)),
+                ),
+            )
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=2e-6))
+            assert np.diff(stepper.state.pairs.start.numpy()).max() >= 60 or not model.features.half_list
+            states = []
+            for _ in range(6):
+                stepper.take(200)
+                stepper.rebuild()
+                states.append((contact_sums(model, stepper.state).contacts, by_id(stepper.state, "position")))
+            found.append((states, by_id(stepper.state, "spin"), stepper.state.spheres.dissipated_energy.numpy().sum()))
+    (half, spin, lost), (full, other_spin, other_lost) = found
+    counts = [count for count, _ in half]
+    assert counts == [count for count, _ in full] and max(counts) > 31 and min(counts) < max(counts)
+    assert np.abs(half[-1][1] - full[-1][1]).max() < 1e-13 and np.abs(spin - other_spin).max() < 1e-10
+    assert lost == pytest.approx(other_lost, rel=1e-9) and lost > 0

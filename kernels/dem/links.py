@@ -176,15 +176,15 @@ def pull_functions(scalar):
 def warp_functions(width: int) -> SimpleNamespace:
     """`ballot` (a bit for each thread of a warp for which something holds), `count_bits`, and `find_bit` (place of the
     n-th bit that is set, from 0)."""
-    cuda = width > 1
+    alone = width == 1
 
-    @wp.func_native("return __ballot_sync(0xffffffffu, holds);" if cuda else "return holds ? 1 : 0;")
+    @wp.func_native("return holds ? 1 : 0;" if alone else "return __ballot_sync(0xffffffffu, holds);")
     def ballot(holds: wp.bool) -> wp.int32: ...
 
-    @wp.func_native("return __popc(bits);" if cuda else "return __builtin_popcount(bits);")
+    @wp.func_native("return bits;" if alone else "return __popc(bits);")
     def count_bits(bits: wp.int32) -> wp.int32: ...
 
-    @wp.func_native("return __fns(bits, 0, n + 1);" if cuda else "return 0;")
+    @wp.func_native("return 0;" if alone else "return __fns(bits, 0, n + 1);")
     def find_bit(bits: wp.int32, n: wp.int32) -> wp.int32: ...
 
     return SimpleNamespace(ballot=ballot, count_bits=count_bits, find_bit=find_bit)
@@ -390,10 +390,11 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, width: int):
 
 @functools.cache
 def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool,
-                width: int, candidates: int):  # fmt: skip
+                width: int):  # fmt: skip
     """Kernel over links: contacts of those that touch.
 
-    `width` is the threads of a warp (1 on a CPU), `candidates`, 1 or 4, the links that a thread looks at.
+    `width` is the threads of a warp (1 on a CPU), `candidates`, 1 or 4, the links that a thread looks at: a parameter,
+    since two kernels would round differently, and a scene would not have the same bits alone and in a batch.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -411,6 +412,7 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         # state, read
+        candidates: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         # state, read and written
@@ -420,28 +422,28 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
     ):
         lane = wp.tid() % width
         first = wp.tid() / width * (width * candidates)
-        if wp.static(candidates == 1):
-            if looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane):
-                evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, first + lane)
-        else:
-            a = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane))
+        a = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane))
+        b = wp.int32(0)
+        c = wp.int32(0)
+        d = wp.int32(0)
+        if candidates > 1:
             b = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + width + lane))
             c = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 2 * width + lane))
             d = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 3 * width + lane))
-            n_a = count_bits(a)
-            n_b = n_a + count_bits(b)
-            n_c = n_b + count_bits(c)
-            for rank in range(lane, n_c + count_bits(d), width):
-                p = first
-                if rank < n_a:
-                    p += find_bit(a, rank)
-                elif rank < n_b:
-                    p += width + find_bit(b, rank - n_a)
-                elif rank < n_c:
-                    p += 2 * width + find_bit(c, rank - n_b)
-                else:
-                    p += 3 * width + find_bit(d, rank - n_c)
-                evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, p)
+        n_a = count_bits(a)
+        n_b = n_a + count_bits(b)
+        n_c = n_b + count_bits(c)
+        for rank in range(lane, n_c + count_bits(d), width):
+            p = first
+            if rank < n_a:
+                p += find_bit(a, rank)
+            elif rank < n_b:
+                p += width + find_bit(b, rank - n_a)
+            elif rank < n_c:
+                p += 2 * width + find_bit(c, rank - n_b)
+            else:
+                p += 3 * width + find_bit(d, rank - n_c)
+            evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, p)
 
     return link_contacts
 

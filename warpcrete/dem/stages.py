@@ -27,6 +27,11 @@ def tasks(batch: Batch, bodies: int) -> int:
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
+def warp_width(device: Any) -> int:
+    """Threads that go through the same instructions together."""
+    return WARP if device.is_cuda else 1
+
+
 def step_stages(batch: Batch) -> list[list[Stage]]:
     """Stages of one step on the arrays that the batch holds now, a list for each thread."""
     if not batch.features.half_list:
@@ -54,7 +59,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 def _full_step(batch: Batch) -> list[Stage]:
     """Stages of a GPU: walls, from contacts to their own motion, beside the contacts of spheres."""
     b, f, n = batch, batch.features, batch.sphere_count
-    width = WARP if b.device.is_cuda else 1
+    width = warp_width(b.device)
     stages = []
     if f.walls:
         surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, width)
@@ -65,11 +70,9 @@ def _full_step(batch: Batch) -> list[Stage]:
         stages.append(b.stage(advance_kernel(b.scalar), b.wall_count, beside=True))
     links = len(b.links.link)
     candidates = 4 if links >= MANY_LINKS else 1
-    kernel = link_kernel(
-        b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width, candidates
-    )  # fmt: skip
+    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width)
     stages += [
-        b.stage(kernel, -(-links // (width * candidates)) * width),
+        b.stage(kernel, -(-links // (width * candidates)) * width, candidates=candidates),
         b.stage(gather_kernel(b.scalar, f.dissipation), n),
         _motion(b, 0, b.body_count),
         *(b.subcycles.stages(0) if f.subcycling else ()),
