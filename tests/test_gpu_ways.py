@@ -322,7 +322,7 @@ def test_a_sphere_with_more_entries_than_bits_feels_them_all():
                 energy_balance=True,
                 bodies=(
                     Bodies(positions=[[0.0, 0, 0]], sizes=0.1, spins=np.array([[0.0, 0, 3.0]])),
-                    Bodies(positions=0.0549 * out, sizes=0.01, velocities=0.3 * out * (height[:, None] > 0.3)),
+                    Bodies(positions=0.0549 * out, sizes=0.01, velocities=0.08 * out * (height[:, None] > 0.3)),
                 ),
             )
             model = build_model(scene, find_device("cpu"), "float64")
