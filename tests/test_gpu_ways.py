@@ -157,6 +157,21 @@ def test_a_run_resumes_to_the_same_bits_in_full_lists(like_a_gpu, tmp_path):
     assert second.run().result["state_hash"] == whole.result["state_hash"]
 
 
+def test_a_fresh_scene_and_a_resumed_one_go_on_together_in_full_lists(like_a_gpu, tmp_path):
+    """Lists of one come from a checkpoint, those of the other from nothing, in either order."""
+    some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]
+    alone = []
+    for seed, scene in enumerate(some):
+        one = Simulation(scene, device="cpu")
+        one.prepare()
+        one.save(tmp_path / f"{seed}.npz")
+        alone.append(one.run().result["state_hash"])
+    for fresh in (0, 1):
+        paths = [None if seed == fresh else tmp_path / f"{seed}.npz" for seed in (0, 1)]
+        runs = run_batch([Simulation(scene, device="cpu") for scene in some], checkpoints=paths)
+        assert [run.result["state_hash"] for run in runs if isinstance(run, Run)] == alone
+
+
 def grained(fraction: float):
     """A tube at 10 mm, with grains that are large enough for that."""
     scene = scenes.tube(spacing=10e-3, aggregates=True, aggregate_fraction=fraction, precision="float64")

@@ -370,3 +370,5 @@ def _launch_beside(stages: list[Any], device: Any) -> None:
             main.wait_event(side.record_event())
             side = None
         stage()
+    if side is not None:
+        main.wait_event(side.record_event())

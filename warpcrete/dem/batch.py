@@ -15,7 +15,7 @@ import warp as wp
 
 from ..core.device import parallel
 from ..core.errors import CapacityError, refuse
-from ..core.launching import Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
+from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
@@ -109,8 +109,9 @@ class Batch:
             threads = 1
         self.threads = max(1, min(threads, self.sphere_count // PER_THREAD))
         self.structs = array_structs(self.scalar)
-        # In full lists every pair stands twice.
-        self.capacity = np.array([len(s.pairs.other) // 2 * 2 if self.parallel else len(s.pairs.other) for s in states])
+        if self.parallel:
+            self._even_pairs()
+        self.capacity = np.array([len(s.pairs.other) for s in states])
         """Entries that there is room for in the pair arrays, of each scene."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Likewise of the mesh candidates."""
@@ -156,6 +157,16 @@ class Batch:
         self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
         self.bodies.scene = self._numbers([s.body_count for s in self.states])
         self.slot_scene = self._numbers([n + 1 for n in counts])
+
+    def _even_pairs(self) -> None:
+        """Full lists hold every pair twice, and a link begins at half a scene's first entry: no room is odd."""
+        for state in self.states:
+            for name in PAIR_ARRAYS:
+                array = getattr(state.pairs, name)
+                if len(array) % 2:
+                    even = wp.zeros(len(array) + 1, dtype=array.dtype, device=self.device)
+                    wp.copy(even, array)
+                    setattr(state.pairs, name, even)
 
     def _join(self, parts: list[Any], name: str) -> wp.array:
         """One array of those that the parts have under a name; theirs become slices of it."""
@@ -263,16 +274,16 @@ class Batch:
         """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
         before, old = self.links, self.capacity.copy()
+        before.pull = None  # what touches is written anew before it is read, and takes most of the memory
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = self._make_links()
-        for name in ("link", "touched", "pull") if self.parallel else ():
-            first, behind, count = (
-                (2 * each if name == "pull" else each // 2)
-                for each in (np.append(0, np.cumsum(self.capacity)), np.append(0, np.cumsum(old)), old)
-            )
-            for s in np.flatnonzero(count):
-                target, source = (getattr(links, name) for links in (self.links, before))
-                wp.copy(target, source, int(first[s]), int(behind[s]), int(count[s]))
+        if not self.parallel:
+            return
+        first, behind = (np.append(0, np.cumsum(each // 2)) for each in (self.capacity, old))
+        for name in ("link", "touched"):
+            target, source = (getattr(links, name) for links in (self.links, before))
+            for s in np.flatnonzero(old):
+                wp.copy(target, source, int(first[s]), int(behind[s]), int(old[s]) // 2)
 
     def _make_links(self) -> Any:
         """A GPU's pairs, with as much room as the lists; none of a scene is known yet."""
@@ -297,10 +308,10 @@ class Batch:
         grown = wanted > capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
         new = np.concatenate([[0], np.cumsum(capacity)])
-        if new[-1] > MAXIMUM_ENTRIES:
-            raise CapacityError(
-                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {MAXIMUM_ENTRIES}"
-            )
+        # What the pairs of a GPU give has two rows an entry.
+        most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
+        if new[-1] > most:
+            raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
         for name in names:
             before = getattr(getattr(self, struct), name)
             after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
@@ -343,13 +354,14 @@ class Batch:
     # Launching.
 
     def stage(
-        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, **named: Any
+        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, block: int | None = None,
+        **named: Any,
     ) -> Stage:  # fmt: skip
         """A launch of a kernel; parameters that are not `named` are the batch's attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets)
+        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, block=block)
 
     def invalidate_graphs(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""
@@ -397,7 +409,8 @@ class Batch:
             if self._wall_reading is None:
                 self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
                 reading = {"walls": self.walls, "wall_values": self._wall_values}
-                self._wall_reading = Stage(wall_probe(self.scalar), self.wall_count, reading, self.device)
+                probe = wall_probe(self.scalar)
+                self._wall_reading = Stage(probe, self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
             self._wall_reading()
             self._walls = self._wall_values.numpy().copy()
         first = int(self.rows["walls"][s])

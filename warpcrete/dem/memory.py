@@ -45,6 +45,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         listing += 4 * OCTANTS  # how much each of its threads finds
         # Links, each two entries of a list: the pair, its scene and state; what it gives at both; a sphere's sums.
         listing += listed * (12 + 8 * scalar) + 6 * scalar
+    if model.features.subcycling and model.scene.hydration is not None:
+        # Three pairs a sphere at most, as many of them stiff as are hydrated; bodies that have some.
+        listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
         listing += 4 * scalar  # where it was last clear of walls
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..core.errors import CapacityError
-from ..core.launching import Stage, launch
+from ..core.launching import Stage, block_size, launch
 from ..kernels.common.control import STALE
 from ..kernels.common.types import types
 from ..kernels.dem.links import linking_kernels
@@ -161,12 +161,12 @@ class NeighborLists:
         """Find the links of a scene whose lists came from a checkpoint."""
         if self.batch.features.half_list:
             return
-        for stale in (1, 0):
-            flags = self.batch.flags.numpy()
-            flags[s, int(STALE)] = stale
-            self.batch.flags.assign(flags)
-            if stale:
-                self._link(self._launches(False))
+        before = self.batch.flags.numpy().copy()
+        flags = before.copy()
+        flags[:, int(STALE)] = np.arange(self.batch.count) == s
+        self.batch.flags.assign(flags)
+        self._link(self._launches(False))
+        self.batch.flags.assign(before)
 
     def kernels(self) -> list[Any]:
         """Kernels and stages of all that it launches."""
@@ -287,7 +287,7 @@ class NeighborLists:
         if not f.half_list:
             linking = linking_kernels(b.scalar, f.history, f.bonds)
             launches.links = [
-                b.stage(linking.clear_links, len(b.links.link)),
+                b.stage(linking.clear_links, len(b.links.link), block=block_size(n)),
                 b.stage(linking.count_own, n, count=self._count),
                 b.stage(linking.fill_links, n, scanned=self._scanned),
             ]

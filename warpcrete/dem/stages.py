@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from ..core.launching import Stage, members
+from ..core.launching import Stage, block_size, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
@@ -72,7 +72,8 @@ def _full_step(batch: Batch) -> list[Stage]:
     candidates = 4 if links >= MANY_LINKS else 1
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width)
     stages += [
-        b.stage(kernel, -(-links // (width * candidates)) * width, candidates=candidates),
+        # Blocks by the spheres: kernels are compiled before there are links.
+        b.stage(kernel, -(-links // (width * candidates)) * width, candidates=candidates, block=block_size(n)),
         b.stage(gather_kernel(b.scalar, f.dissipation), n),
         _motion(b, 0, b.body_count),
         *(b.subcycles.stages(0) if f.subcycling else ()),
