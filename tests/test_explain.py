@@ -45,8 +45,9 @@ def test_what_is_foretold_of_elements_is_what_a_run_has(device, changes):
     simulation.stepper.advance(5 * simulation.stepper.dt)
     simulation.measure()
     assert told.counts["spheres"] == pytest.approx(simulation.state.sphere_count, rel=0.03)
-    assert told.time_step == pytest.approx(simulation.stepper.dt, rel=0.2)
-    assert told.steps == pytest.approx(scene.duration / simulation.stepper.dt, rel=0.2)
+    off = 0.15 if device == "cpu" else 0.2
+    assert told.time_step == pytest.approx(simulation.stepper.dt, rel=off)
+    assert told.steps == pytest.approx(scene.duration / simulation.stepper.dt, rel=off)
     assert told.total_memory == pytest.approx(footprint(all=simulation)["all"], rel=0.05)
     assert set(told.parts) == {"packing", "settling", "steps", "list builds", "samples"}
     assert all(spent > 0 for spent in told.parts.values()), told.parts

@@ -1,4 +1,4 @@
-"""Several threads of a GPU for one sphere: lists and bits are those of one thread."""
+"""Threads of a GPU that share work: lists and bits are those of one thread for itself."""
 
 import dataclasses
 
@@ -15,7 +15,9 @@ from warpcrete.dem.model import build_model
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 
-pytestmark = pytest.mark.skipif(not wp.is_cuda_available(), reason="a CPU has one thread for a sphere: needs a GPU")
+pytestmark = pytest.mark.skipif(
+    not wp.is_cuda_available(), reason="threads of a warp that share work are a GPU's: a CPU has one way only"
+)
 
 
 def box(kind, count, spread):

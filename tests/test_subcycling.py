@@ -81,9 +81,9 @@ def test_a_pumping_run_in_rounds_is_that_of_single_steps(plain):
     (single, _), (rounds, simulation) = plain[1], plain[None]
     assert simulation.stepper.batch.subcycles.rounds > 5
     assert rounds.result["steps"] < 0.2 * single.result["steps"]
-    assert abs(rounds.result["energy_balance_error"]) < 1e-3
+    assert abs(rounds.result["energy_balance_error"]) < 3e-4  # 1e-4; of single steps 2e-5
     time = single.series["time"]
-    for name, tolerance in (("pressure", 0.01), ("bond_energy", 0.03), ("elastic_energy", 0.01), ("bonds", 0.03)):
+    for name, tolerance in (("pressure", 3e-3), ("bond_energy", 8e-3), ("elastic_energy", 2e-3), ("bonds", 8e-3)):
         other = np.interp(time, rounds.series["time"], rounds.series[name])
         scale = np.abs(single.series[name]).max()
         assert np.abs(other - single.series[name])[1:].max() < tolerance * scale, name
@@ -95,7 +95,7 @@ def test_a_pumping_run_in_rounds_is_that_of_single_steps(plain):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_momentum_is_kept(device, precision):
-    """A chain of clumps turns, vibrates, and meets loose bodies, with friction and dashpots."""
+    """A chain turns, vibrates, and meets loose spheres, with friction and dashpots."""
     positions = np.concatenate([rod(4, gap=-1e-5), [[0.012, 0.0185, 0.001], [-0.03, -0.0185, 0.0]]])
     velocities = np.zeros((6, 3))
     velocities[4:] = [[0.1, -1.0, 0.0], [0.0, 0.8, 0.2]]
@@ -104,10 +104,8 @@ def test_momentum_is_kept(device, precision):
     assert stepper.batch.subcycles.pair_count >= 3
 
     def momenta():
-        b = stepper.state.bodies
         m, v, x = (by_id(stepper.state, name).astype(float) for name in ("mass", "velocity", "position"))
         spin = by_id(stepper.state, "angular_momentum").astype(float)
-        assert len(b.id) == 6
         return (m[:, None] * v).sum(0), (m[:, None] * np.cross(x, v) + spin).sum(0)
 
     before, turning = momenta()
@@ -117,7 +115,7 @@ def test_momentum_is_kept(device, precision):
     assert np.abs(by_id(stepper.state, "velocity")[1:3]).max() > 0.05  # the chain was hit
     # Velocities of bodies in rounds and of others stand at the same half step.
     assert np.abs(after - before).max() < scale * (1e-13 if precision == "float64" else 1e-5)
-    assert np.abs(turned - turning).max() < scale * 0.03 * (1e-3 if precision == "float64" else 2e-3)
+    assert np.abs(turned - turning).max() < scale * 0.03 * (1e-13 if precision == "float64" else 1e-5)
 
 
 def test_a_drawn_chain_carries_the_load(device):
@@ -143,22 +141,22 @@ def test_a_drawn_chain_carries_the_load(device):
 
 
 def test_a_stiff_pair_vibrates_at_its_own_frequency(device):
-    """The bond between two spheres pulled apart, seen in its load at the end of each step; the period to 1 %."""
+    """The bond between two spheres pulled apart, seen in its load at the end of each step; and its period."""
     modulus = 4e5
     scene = scene_of(rod(2), modulus=modulus, velocities=np.array([[-0.05, 0, 0], [0.05, 0, 0]]))
     scene = dataclasses.replace(scene, time_step=TimeStep(fixed=2e-5))
     stepper = bonded(scene, device, rounds=8)
-    k = modulus / DIAMETER * math.pi * (DIAMETER / 2) ** 2 + 0.0
+    k = modulus / DIAMETER * math.pi * (DIAMETER / 2) ** 2
     period = 2 * math.pi / math.sqrt(k / (MASS / 2))
     loads = []
     for _ in range(int(1.2 * period / 2e-5)):
         stepper.take(1)
         loads.append(float(stepper.state.pairs.bond_force.numpy()[0, 3]))
     peak = 0.1 * math.sqrt(k * MASS / 2)
-    assert max(loads) == pytest.approx(peak, rel=0.02)  # less what dashpots take
+    assert max(loads) == pytest.approx(peak, rel=1e-3)  # less what dashpots take
     crossing = np.flatnonzero(np.diff(np.sign(loads)) < 0)[0]
     # Compressed, the contact's own spring adds to the bond: only the half period of tension is the bond's.
-    assert (crossing + 1.5) * 2e-5 == pytest.approx(period / 2, rel=0.02)
+    assert (crossing + 1.5) * 2e-5 == pytest.approx(period / 2, rel=2e-3)
 
 
 @pytest.mark.parametrize("template", [None, clumps.reference()[1]], ids=["spheres", "clumps"])
@@ -215,7 +213,7 @@ def test_a_broken_pair_is_a_contact_as_all_others(device):
         assert stepper.state.spheres.broken.numpy().sum(axis=0).tolist() == [0, 1]
         ends[rounds] = by_id(stepper.state, "velocity"), by_id(stepper.state, "spin")
     for one, other in zip(ends[1], ends[20]):
-        assert np.abs(one - other).max() < 0.02 * np.abs(one).max()
+        assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
 
 
 @pytest.mark.parametrize("modulus", [1e6, 1e8, 1e10, 1e12])

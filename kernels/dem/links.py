@@ -3,8 +3,8 @@
 Lists hold every pair at both spheres; a *link* is a pair once. A warp looks at some links for each of its threads,
 and shares out those that touch, so that all its threads work on contacts together: most links of a list do not touch.
 What a link gives stands at both entries of its pair; a second kernel adds up the rows of each sphere in the order of
-the list, so no atomic is needed and bits depend on no order of threads. Planes and pipes have a kernel of their own, a
-thread a sphere, which runs beside those two.
+the list, so forces need no atomic and bits depend on no order of threads. Planes and pipes have a kernel of their own,
+a thread a sphere, which runs beside those two.
 """
 
 import functools
@@ -12,116 +12,19 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import HALTED, STALE
+from ..common.control import HALTED
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
 from .analytic_walls import analytic_wall_functions
 from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .contacts import contact_options
-from .pairs import BLOCK, bonded_function, decode, pair_functions
+from .linking import mark_function
+from .pairs import BLOCK, bonded_function, pair_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
 
 WARP = 32
 """Threads of a warp."""
-
-
-@functools.cache
-def mark_function(scalar):
-    """`mark`: notes in a sphere's bits whether the entry at a place of its row touches."""
-    Spheres = array_structs(scalar).Spheres
-
-    @wp.func
-    def mark(spheres: Spheres, i: wp.int32, place: wp.int32, touches: wp.bool):
-        if place < BLOCK:
-            if touches:
-                wp.atomic_or(spheres.touching, i, 1 << place)
-            else:
-                wp.atomic_and(spheres.touching, i, ~(1 << place))
-
-    return mark
-
-
-@functools.cache
-def linking_kernels(scalar, history: bool, bonds: bool):
-    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` and ``fill_links`` over spheres."""
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
-    Links = links_struct(scalar)
-    mark = mark_function(scalar)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def clear_links(flags: wp.array2d(dtype=wp.int32), links: Links):
-        p = wp.tid()
-        if flags[links.scene[p], STALE] != 0:
-            links.link[p] = wp.vec4i(-1, -1, -1, -1)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def count_own(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
-        spheres: Spheres, links: Links,
-    ):  # fmt: skip
-        """Entries of a row that are no twins; none of the row touches yet."""
-        i = wp.tid()
-        s = spheres.scene[i]
-        own = wp.int32(0)
-        stale = flags[s, STALE] != 0
-        begin = scenes.row[s].pairs + pairs.start[i + s]
-        for k in range(begin, scenes.row[s].pairs + pairs.start[i + s + 1]):
-            if pairs.other[k] >= 0:
-                own += 1
-            if stale and k - begin >= BLOCK:  # no bits tell of these
-                links.pull[2 * k] = t.vec4()
-                links.pull[2 * k + 1] = t.vec4()
-        count[i + s] = own
-        if stale:
-            spheres.touching[i] = 0
-
-    @wp.func
-    def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Entry of a row, in which places ascend, that stands for sphere i of the scene."""
-        low = begin
-        high = end - 1
-        while low < high:
-            middle = (low + high) / 2
-            if decode(pairs.other[middle]) < i:
-                low = middle + 1
-            else:
-                high = middle
-        return low
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def fill_links(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
-        spheres: Spheres, links: Links,
-    ):  # fmt: skip
-        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at."""
-        i = wp.tid()
-        s = spheres.scene[i]
-        if flags[s, STALE] == 0:
-            return
-        base = scenes.row[s].spheres
-        row = scenes.row[s].pairs
-        p = row / 2 + scanned[i + s] - scanned[base + s]
-        for k in range(pairs.start[i + s], pairs.start[i + s + 1]):
-            j = pairs.other[row + k]
-            if j >= 0:
-                begin = pairs.start[base + j + s]
-                twin = twin_of(pairs, row + begin, row + pairs.start[base + j + s + 1], i - base) - row
-                remembers = wp.bool(False)
-                if wp.static(history):
-                    remembers = wp.length_sq(pairs.history[row + k]) > scalar(0.0)
-                if wp.static(bonds):
-                    remembers = remembers or pairs.bond[row + k] != 0
-                links.link[p] = wp.vec4i(i - base, j, k, twin)
-                links.touched[p] = wp.where(remembers, 1, 0)
-                if remembers:
-                    mark(spheres, i, k - pairs.start[i + s], True)
-                    mark(spheres, base + j, twin - begin, True)
-                p += 1
-
-    return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)
 
 
 @functools.cache

@@ -9,69 +9,16 @@ together, which that formula does not.
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
 from ..common.types import types, vector_functions
 from ..common.walls import DRIVEN, wall_functions
-from .bond_parallel import HYDRATED, bond_functions
+from .bond_parallel import bond_functions
 from .contact_law import contact_functions
-from .pairs import decode
+from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
-
-
-@functools.cache
-def estimate_struct(scalar):
-    """What the estimate adds up; `sums` has columns K and C of translation, K and C of rotation."""
-    t = types(scalar)
-
-    @wp.struct
-    class Estimate:
-        sums: wp.array2d(dtype=t.mat33)  # of each sphere, shape (spheres, 4); zero between two estimates
-        wall_load: wp.array2d(dtype=wp.int64)  # stiffness [mN/m] and damping [mN s/m] of each wall, shape (walls, 2)
-        smallest: wp.array(dtype=wp.float64)  # step of any body of a scene [s], shape (scenes,)
-        fastest: wp.array(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (scenes,)
-
-    return Estimate
-
-
-@functools.cache
-def stiffness_functions(scalar):
-    """`outer`, `turning` and `stable`: matrices of one contact, and the step that they allow."""
-    t = types(scalar)
-
-    @wp.func
-    def outer(n: t.vec3, kn: scalar, ks: scalar):
-        """Stiffness kn along n and ks across it."""
-        return (kn - ks) * wp.outer(n, n) + ks * wp.identity(n=3, dtype=scalar)
-
-    @wp.func
-    def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
-        """Stiffness against rotation of a contact at `r` from the centroid: springs at the end of the lever, and the
-        bond's own moments. Dashpots likewise."""
-        c = wp.cross(r, n)
-        levers = wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
-        return (kn - ks) * wp.outer(c, c) + ks * levers + outer(n, torsion, bending)
-
-    @wp.func
-    def row_sum(m: t.mat33, scale: t.vec3):
-        """Largest absolute row sum of m / sqrt(scale_r scale_c)."""
-        largest = scalar(0.0)
-        for r in range(3):
-            total = scalar(0.0)
-            for c in range(3):
-                total += wp.abs(m[r, c]) / wp.sqrt(scale[r] * scale[c])
-            largest = wp.max(largest, total)
-        return largest
-
-    @wp.func
-    def stable(k: scalar, c: scalar):
-        """Step for stiffness and damping per mass."""
-        return scalar(2.0) / (c + wp.sqrt(c * c + scalar(4.0) * k))
-
-    return SimpleNamespace(outer=outer, turning=turning, row_sum=row_sum, stable=stable)
 
 
 @functools.cache
@@ -93,100 +40,6 @@ def begin_kernel(scalar):
             estimate.wall_load[w, 1] = wp.int64(0)
 
     return begin_estimate
-
-
-@functools.cache
-def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool):
-    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i; a half list adds to both spheres.
-
-    With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others.
-    """
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
-    Estimate = estimate_struct(scalar)
-    functions = law.functions(scalar)
-    Parameters, stiffness = functions.Parameters, functions.stiffness
-    Bond, bond_stiffness = bond_functions(scalar).Bond, bond_functions(scalar).bond_stiffness
-    sphere_touch = contact_functions(scalar).sphere_touch
-    matrices = stiffness_functions(scalar)
-    outer, turning = matrices.outer, matrices.turning
-    xyz = vector_functions(scalar).xyz
-    safe_normalize = vector_functions(scalar).safe_normalize
-
-    @wp.struct
-    class Sums:
-        k: t.mat33
-        c: t.mat33
-        k_turn: t.mat33
-        c_turn: t.mat33
-
-    @wp.func
-    def add_pairs(
-        i: wp.int32,
-        s: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        stiff: wp.bool,
-        parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond),
-        scenes: Scenes,
-        bodies: Bodies,
-        spheres: Spheres,
-        pairs: Pairs,
-        estimate: Estimate,
-    ):
-        zero = scalar(0.0)
-        sums = Sums()
-        base = scenes.row[s].spheres
-        body_base = scenes.row[s].bodies
-        xi = xyz(spheres.position[i])
-        radius_i = spheres.position[i][3]
-        row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-        arm_i = xi - bodies.position[body_base + spheres.body[i]]
-        start = scenes.row[s].pairs
-        for pair in range(start + pairs.start[i + s], start + pairs.start[i + s + 1]):
-            j = base + decode(pairs.other[pair])
-            offset = xyz(spheres.position[j]) - xi
-            radius_j = spheres.position[j][3]
-            length = radius_i + radius_j
-            touching = wp.length_sq(offset) < length * length
-            bond = wp.int32(0)
-            if wp.static(bonds):
-                bond = pairs.bond[pair]
-            counts = touching or bond > 0
-            if wp.static(subcycling):
-                counts = counts and (bond == HYDRATED) == stiff
-            if counts:
-                n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
-                velocity = xyz(spheres.velocity[j]) - xyz(spheres.velocity[i])
-                touch = sphere_touch(
-                    n, wp.length(offset) - length, velocity, zero, radius_i, radius_j, spheres.velocity[i][3],
-                    spheres.velocity[j][3],
-                )  # fmt: skip
-                k = stiffness(parameters[row + spheres.material[j]], touch)
-                held = t.vec4()
-                if wp.static(bonds):
-                    if bond > 0:
-                        held = bond_stiffness(bond_parameters[scenes.row[s].bonds + bond], touch)
-                kn = k[0] + held[0]
-                ks = k[1] + held[1]
-                block = outer(n, kn, ks)
-                damping = outer(n, k[2], k[3])
-                sums.k = sums.k + block
-                sums.c = sums.c + damping
-                sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, kn, ks, held[2], held[3])
-                sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
-                if wp.static(half):
-                    if j >= first and j < last:
-                        lever = xyz(spheres.position[j]) - bodies.position[body_base + spheres.body[j]] - radius_j * n
-                        estimate.sums[j, 0] = estimate.sums[j, 0] + block
-                        estimate.sums[j, 1] = estimate.sums[j, 1] + damping
-                        estimate.sums[j, 2] = estimate.sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
-                        estimate.sums[j, 3] = estimate.sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
-        return sums
-
-    return SimpleNamespace(Sums=Sums, add_pairs=add_pairs)
 
 
 @functools.cache

@@ -23,7 +23,8 @@ from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
-from ..kernels.dem.structs import array_structs, links_struct, scene_struct
+from ..kernels.dem.structs import array_structs, scene_struct
+from .links import carry_links, even_pairs, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .subcycling import Subcycles
@@ -110,7 +111,7 @@ class Batch:
         self.threads = max(1, min(threads, self.sphere_count // PER_THREAD))
         self.structs = array_structs(self.scalar)
         if self.parallel:
-            self._even_pairs()
+            even_pairs(states)
         self.capacity = np.array([len(s.pairs.other) for s in states])
         """Entries that there is room for in the pair arrays, of each scene."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
@@ -118,7 +119,7 @@ class Batch:
         self._join_states()
         self._join_models()
         self._place_pairs()
-        self.links = self._make_links()
+        self.links = make_links(self)
         self.subcycles = Subcycles(self)
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
@@ -157,16 +158,6 @@ class Batch:
         self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
         self.bodies.scene = self._numbers([s.body_count for s in self.states])
         self.slot_scene = self._numbers([n + 1 for n in counts])
-
-    def _even_pairs(self) -> None:
-        """Full lists hold every pair twice, and a link begins at half a scene's first entry: no room is odd."""
-        for state in self.states:
-            for name in PAIR_ARRAYS:
-                array = getattr(state.pairs, name)
-                if len(array) % 2:
-                    even = wp.zeros(len(array) + 1, dtype=array.dtype, device=self.device)
-                    wp.copy(even, array)
-                    setattr(state.pairs, name, even)
 
     def _join(self, parts: list[Any], name: str) -> wp.array:
         """One array of those that the parts have under a name; theirs become slices of it."""
@@ -276,28 +267,9 @@ class Batch:
         before, old = self.links, self.capacity.copy()
         before.pull = None  # what touches is written anew before it is read, and takes most of the memory
         self._regrow("pairs", used, self.capacity, wanted)
-        self.links = self._make_links()
-        if not self.parallel:
-            return
-        first, behind = (np.append(0, np.cumsum(each // 2)) for each in (self.capacity, old))
-        for name in ("link", "touched"):
-            target, source = (getattr(links, name) for links in (self.links, before))
-            for s in np.flatnonzero(old):
-                wp.copy(target, source, int(first[s]), int(behind[s]), int(old[s]) // 2)
-
-    def _make_links(self) -> Any:
-        """A GPU's pairs, with as much room as the lists; none of a scene is known yet."""
-        links = links_struct(self.scalar)()
-        lists = int(self.capacity.sum()) if self.parallel else 0
-        n = self.sphere_count if self.parallel else 0
-        sizes = {"pull": 2 * lists, "force": n, "moment": n, "lost": n if self.features.dissipation else 0}
-        for name, variable in links_struct(self.scalar).vars.items():
-            dtype = variable.type.dtype
-            setattr(links, name, wp.zeros(sizes.get(name, lists // 2), dtype=dtype, device=self.device))
-        links.link.fill_(-1)
+        self.links = make_links(self)
         if self.parallel:
-            links.scene.assign(np.repeat(np.arange(self.count, dtype=np.int32), self.capacity // 2))
-        return links
+            carry_links(before, old, self.links, self.capacity)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` mesh candidates a scene."""

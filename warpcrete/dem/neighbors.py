@@ -13,7 +13,7 @@ from ..core.errors import CapacityError
 from ..core.launching import Stage, block_size, launch
 from ..kernels.common.control import STALE
 from ..kernels.common.types import types
-from ..kernels.dem.links import linking_kernels
+from ..kernels.dem.linking import linking_kernels
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel

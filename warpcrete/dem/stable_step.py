@@ -12,12 +12,12 @@ from ..core.launching import Stage, at_once
 from ..geometry.walls import Driven
 from ..kernels.dem.stable_step import (
     begin_kernel,
-    estimate_struct,
     gather_kernel,
     keep_kernel,
     reduce_kernel,
     settle_kernel,
 )
+from ..kernels.dem.stiffness import estimate_struct
 from .batch import Batch
 from .scene import Scene
 

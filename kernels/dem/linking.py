@@ -1,0 +1,109 @@
+"""What a GPU evaluates for each pair of its lists (`links`), found anew with the lists."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import STALE
+from ..common.types import types
+from .pairs import BLOCK, decode
+from .structs import array_structs, links_struct
+
+
+@functools.cache
+def mark_function(scalar):
+    """`mark`: notes in a sphere's bits whether the entry at a place of its row touches."""
+    Spheres = array_structs(scalar).Spheres
+
+    @wp.func
+    def mark(spheres: Spheres, i: wp.int32, place: wp.int32, touches: wp.bool):
+        if place < BLOCK:
+            if touches:
+                wp.atomic_or(spheres.touching, i, 1 << place)
+            else:
+                wp.atomic_and(spheres.touching, i, ~(1 << place))
+
+    return mark
+
+
+@functools.cache
+def linking_kernels(scalar, history: bool, bonds: bool):
+    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` and ``fill_links`` over spheres."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    mark = mark_function(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def clear_links(flags: wp.array2d(dtype=wp.int32), links: Links):
+        p = wp.tid()
+        if flags[links.scene[p], STALE] != 0:
+            links.link[p] = wp.vec4i(-1, -1, -1, -1)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def count_own(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
+        spheres: Spheres, links: Links,
+    ):  # fmt: skip
+        """Entries of a row that are no twins; none of the row touches yet."""
+        i = wp.tid()
+        s = spheres.scene[i]
+        own = wp.int32(0)
+        stale = flags[s, STALE] != 0
+        begin = scenes.row[s].pairs + pairs.start[i + s]
+        for k in range(begin, scenes.row[s].pairs + pairs.start[i + s + 1]):
+            if pairs.other[k] >= 0:
+                own += 1
+            if stale and k - begin >= BLOCK:  # no bits tell of these
+                links.pull[2 * k] = t.vec4()
+                links.pull[2 * k + 1] = t.vec4()
+        count[i + s] = own
+        if stale:
+            spheres.touching[i] = 0
+
+    @wp.func
+    def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
+        """Entry of a row, in which places ascend, that stands for sphere i of the scene."""
+        low = begin
+        high = end - 1
+        while low < high:
+            middle = (low + high) / 2
+            if decode(pairs.other[middle]) < i:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def fill_links(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
+        spheres: Spheres, links: Links,
+    ):  # fmt: skip
+        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at."""
+        i = wp.tid()
+        s = spheres.scene[i]
+        if flags[s, STALE] == 0:
+            return
+        base = scenes.row[s].spheres
+        row = scenes.row[s].pairs
+        p = row / 2 + scanned[i + s] - scanned[base + s]
+        for k in range(pairs.start[i + s], pairs.start[i + s + 1]):
+            j = pairs.other[row + k]
+            if j >= 0:
+                begin = pairs.start[base + j + s]
+                twin = twin_of(pairs, row + begin, row + pairs.start[base + j + s + 1], i - base) - row
+                remembers = wp.bool(False)
+                if wp.static(history):
+                    remembers = wp.length_sq(pairs.history[row + k]) > scalar(0.0)
+                if wp.static(bonds):
+                    remembers = remembers or pairs.bond[row + k] != 0
+                links.link[p] = wp.vec4i(i - base, j, k, twin)
+                links.touched[p] = wp.where(remembers, 1, 0)
+                if remembers:
+                    mark(spheres, i, k - pairs.start[i + s], True)
+                    mark(spheres, base + j, twin - begin, True)
+                p += 1
+
+    return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)

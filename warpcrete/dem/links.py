@@ -1,0 +1,47 @@
+"""Room for what a GPU evaluates of each pair: a struct `Links`, beside the lists of a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels.dem.structs import links_struct
+from .state import PAIR_ARRAYS, State
+
+
+def even_pairs(states: list[State]) -> None:
+    """Give lists even room: a full one holds every pair twice, and links begin at half a scene's first entry."""
+    for state in states:
+        for name in PAIR_ARRAYS:
+            array = getattr(state.pairs, name)
+            if len(array) % 2:
+                even = wp.zeros(len(array) + 1, dtype=array.dtype, device=array.device)
+                wp.copy(even, array)
+                setattr(state.pairs, name, even)
+
+
+def make_links(batch: Any) -> Any:
+    """Links with as much room as the lists of a :class:`Batch` have; no pair is known yet. A CPU has none."""
+    struct = links_struct(batch.scalar)
+    lists = int(batch.capacity.sum()) if batch.parallel else 0
+    n = batch.sphere_count if batch.parallel else 0
+    sizes = {"pull": 2 * lists, "force": n, "moment": n, "lost": n if batch.features.dissipation else 0}
+    links = struct()
+    for name, variable in struct.vars.items():
+        made = wp.zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
+        setattr(links, name, made)
+    if batch.parallel:
+        links.link.fill_(-1)
+        links.scene.assign(np.repeat(np.arange(batch.count, dtype=np.int32), batch.capacity // 2))
+    return links
+
+
+def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
+    """Copy the pairs of each scene to where they are in lists of more room; `old` and `capacity` are entries each."""
+    first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
+    for name in ("link", "touched"):
+        target, source = getattr(links, name), getattr(before, name)
+        for s in np.flatnonzero(old):
+            wp.copy(target, source, int(first[s]), int(behind[s]), int(old[s]) // 2)
