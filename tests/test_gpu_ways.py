@@ -15,13 +15,16 @@ from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
+from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, block_size, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
+from warpcrete.dem.batch import Batch
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
 from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
@@ -354,3 +357,40 @@ def test_a_sphere_with_more_entries_than_bits_feels_them_all():
     assert counts == [count for count, _ in full] and max(counts) > 31 and min(counts) < max(counts)
     assert np.abs(half[-1][1] - full[-1][1]).max() < 1e-13 and np.abs(spin - other_spin).max() < 1e-10
     assert lost == pytest.approx(other_lost, rel=1e-9) and lost > 0
+
+
+@pytest.mark.parametrize("shapes", [{}, {"shapes": "shape-1.5", "shape_spheres": 4}], ids=["spheres", "clumps"])
+def test_the_device_estimates_the_step_as_the_host_would(like_a_gpu, monkeypatch, shapes):
+    """Steps go on over several estimates without the host, and end in the same bits."""
+    scene = scenes.pipe(seed=1, **shapes, **SMALL)
+    asked, estimate = [], StableStep.__call__
+    monkeypatch.setattr(StableStep, "__call__", lambda self, s: (asked.append(s), estimate(self, s)))
+    by_device = Simulation(scene, device="cpu").run()
+    few = len(asked)
+    use_step = Batch.use_step
+    monkeypatch.setattr(Batch, "use_step", lambda self, step, between: use_step(self, step, None))
+    by_host = Simulation(scene, device="cpu").run()
+    assert by_device.result["state_hash"] == by_host.result["state_hash"]
+    assert np.array_equal(by_device.series["time_step"], by_host.series["time_step"])
+    assert len(np.unique(by_device.series["time_step"])) > 3
+    assert len(asked) - 2 * few > 5  # what the device took over
+
+
+def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):
+    """A scene that stiffens under way, at a step that is given: the same words as on a CPU."""
+    scene = dataclasses.replace(mixed_scene(), duration=1.0)
+    stepper = started_with(scene, TimeStep())
+    stable = stepper.estimate()
+    stepper = started_with(scene, TimeStep(fixed=0.9 * stable, interval=5))
+    stepper.running = True
+    stepper.take(1)
+    mass = stepper.state.bodies.mass
+    mass.assign(0.5 * mass.numpy())
+    with pytest.raises(InstabilityError, match="above the stable step of this scene"):
+        stepper.advance(100 * stable)
+    assert stepper.steps == 5
+
+
+def started_with(scene, time_step):
+    model = build_model(scene, find_device("cpu"), "float32")
+    return Stepper(model, State(model, placed_bodies(scene)), time_step)

@@ -4,8 +4,43 @@ import functools
 
 import warp as wp
 
-from ..common.control import FAILED, GOAL, HALTED, LATE, OVERFLOW, STALE, STEPS
+from ..common.control import (
+    ARRIVED,
+    ESTIMATED,
+    FAILED,
+    GOAL,
+    HALTED,
+    LATE,
+    OVERFLOW,
+    STALE,
+    STEPS,
+    WAITS,
+)
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
+
+CLOSE = 1.0e-6
+"""Part of a step that may be missing where a scene has got to its time."""
+
+
+@functools.cache
+def arrived_function(scalar):
+    """`arrived`: whether a scene is at its goal, or must have its stable step estimated before it goes on."""
+    Scenes = array_structs(scalar).Scenes
+
+    @wp.func
+    def arrived(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, s: wp.int32) -> wp.bool:
+        return is_there(
+            flags[s, STEPS] - flags[s, GOAL], flags[s, STEPS] - flags[s, ESTIMATED] - scenes.row[s].interval,
+            scenes.row[s].until - scenes.clock[s, TIME], scenes.clock[s, DT],
+        )  # fmt: skip
+
+    return arrived
+
+
+@wp.func
+def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
+    """Steps beyond the goal and beyond the next estimate of the stable step, and the time that is left [s]."""
+    return beyond_goal >= 0 or beyond_estimate >= 0 or not (left > wp.float64(wp.static(CLOSE)) * dt)
 
 
 @functools.cache
@@ -16,24 +51,38 @@ def clock_kernel(scalar, growth: bool):
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
         s = wp.tid()
-        if flags[s, HALTED] != 0:
-            return
-        if flags[s, FAILED] != 0:
-            flags[s, HALTED] = 1
-            return
-        dt = scenes.clock[s, DT]
-        scenes.clock[s, TIME] = scenes.clock[s, TIME] + dt
-        scenes.clock[s, DT_PREVIOUS] = dt
-        scenes.clock[s, SINCE_BUILD] = scenes.clock[s, SINCE_BUILD] + dt
+        # Nothing else happens on a GPU while this thread waits for memory: it asks for all that it needs at once.
+        halted = wp.int32(flags[s, HALTED])
+        failed = wp.int32(flags[s, FAILED])
+        late = wp.int32(flags[s, LATE])
+        overflow = wp.int32(flags[s, OVERFLOW])
         steps = flags[s, STEPS] + 1
+        beyond_goal = steps - flags[s, GOAL]
+        beyond_estimate = steps - flags[s, ESTIMATED] - scenes.row[s].interval
+        until = scenes.row[s].until
+        dt = wp.float64(scenes.clock[s, DT])
+        time = scenes.clock[s, TIME] + dt
+        since = scenes.clock[s, SINCE_BUILD] + dt
+        if halted != 0:
+            return
+        if failed != 0:
+            flags[s, HALTED] = WAITS
+            return
+        scenes.clock[s, TIME] = time
+        scenes.clock[s, DT_PREVIOUS] = dt
+        scenes.clock[s, SINCE_BUILD] = since
         flags[s, STEPS] = steps
         if wp.static(growth):
             scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        if flags[s, LATE] != 0:
+        if late != 0:
             flags[s, LATE] = 0
             flags[s, STALE] = 1
-            flags[s, HALTED] = 1
-        if steps >= flags[s, GOAL] or flags[s, OVERFLOW] != 0:
-            flags[s, HALTED] = 1
+            halted = WAITS
+        if overflow != 0:
+            halted = WAITS
+        elif is_there(beyond_goal, beyond_estimate, until - time, dt):
+            halted = ARRIVED
+        if halted != 0:
+            flags[s, HALTED] = halted
 
     return advance_clock

@@ -28,8 +28,10 @@ def mark_function(scalar):
 
 
 @functools.cache
-def linking_kernels(scalar, history: bool, bonds: bool):
-    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` and ``fill_links`` over spheres."""
+def linking_kernels(scalar, history: bool, bonds: bool, lanes: int):
+    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``, so many `lanes`
+    a sphere, to which its entries fall in turn.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -82,16 +84,19 @@ def linking_kernels(scalar, history: bool, bonds: bool):
         spheres: Spheres, links: Links,
     ):  # fmt: skip
         """Links of a row's own entries; one that remembers anything counts as touching until it is looked at."""
-        i = wp.tid()
+        i = wp.tid() / lanes
         s = spheres.scene[i]
         if flags[s, STALE] == 0:
             return
         base = scenes.row[s].spheres
         row = scenes.row[s].pairs
-        p = row / 2 + scanned[i + s] - scanned[base + s]
-        for k in range(pairs.start[i + s], pairs.start[i + s + 1]):
+        first = row / 2 + scanned[i + s] - scanned[base + s]
+        for k in range(pairs.start[i + s] + wp.tid() % lanes, pairs.start[i + s + 1], lanes):
             j = pairs.other[row + k]
             if j >= 0:
+                p = first
+                for earlier in range(pairs.start[i + s], k):
+                    p += wp.where(pairs.other[row + earlier] >= 0, 1, 0)
                 begin = pairs.start[base + j + s]
                 twin = twin_of(pairs, row + begin, row + pairs.start[base + j + s + 1], i - base) - row
                 remembers = wp.bool(False)
@@ -104,6 +109,5 @@ def linking_kernels(scalar, history: bool, bonds: bool):
                 if remembers:
                     mark(spheres, i, k - pairs.start[i + s], True)
                     mark(spheres, base + j, twin - begin, True)
-                p += 1
 
     return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)

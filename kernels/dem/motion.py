@@ -9,6 +9,7 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
+from .links import pull_functions
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, subcycled_struct
 
 
@@ -123,12 +124,13 @@ def motion_functions(scalar, dissipation: bool):
 def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool):
     """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
 
-    The same step as `clump_kernel`; what bodies hold besides is written by `sync_kernel`, when somebody looks.
+    The same step as `clump_kernel`, and of full lists the sums of `links`. What bodies hold besides is written by
+    `sync_kernel`, when somebody looks.
     """
     t = types(scalar)
     span = SPAN if half else 1
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     motion = motion_functions(scalar, dissipation)
@@ -138,6 +140,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
     Links = links_struct(scalar)
+    _, pulled = pull_functions(scalar)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def move_spheres(
@@ -150,11 +153,12 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
         last: wp.int32,
         # state, read
         scenes: Scenes,
+        pairs: Pairs,
+        links: Links,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
-        links: Links,
     ):
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
@@ -171,12 +175,14 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             mass = before[3]
             velocity = xyz(before)
             total = read_vec3(spheres.force, i)
+            by_links = t.vec3()
             if wp.static(half):
                 write_vec3(spheres.force, i, t.vec3())
             else:
-                total += read_vec3(links.force, i)
+                push, by_links, taken = pulled(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
+                total += push
                 if wp.static(dissipation):
-                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + links.lost[i]
+                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + taken
             if wp.static(drives):
                 group = bodies.group[i]
                 if group > 0:
@@ -193,9 +199,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
 
             if wp.static(rotation):
                 spin = read_vec3(spheres.spin, i)
-                torque = read_vec3(spheres.moment, i)
-                if wp.static(not half):
-                    torque += read_vec3(links.moment, i)
+                torque = read_vec3(spheres.moment, i) + by_links
                 torque, lost_turning = damped(torque, spin, damping, kick)
                 if wp.static(half):
                     write_vec3(spheres.moment, i, t.vec3())

@@ -12,9 +12,11 @@ import functools
 
 import warp as wp
 
+from ..common.control import ARRIVED, ESTIMATED, FAILED, HALTED, STALE, STEPS
 from ..common.types import types, vector_functions
 from ..common.walls import DRIVEN, wall_functions
 from .bond_parallel import bond_functions
+from .clock import arrived_function
 from .contact_law import contact_functions
 from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
@@ -23,15 +25,33 @@ from .subcycling import PART, RELAXATION
 
 @functools.cache
 def begin_kernel(scalar):
-    """Kernel over scenes, of which those that are `due` count, as in all kernels here: nothing is known of them yet."""
+    """Kernel over scenes: of those that are `due` nothing is known yet; the others count in no kernel here.
+
+    Due are scenes that were `asked` for, and, where the device decides, those that have come to where they must be.
+    """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
     Estimate = estimate_struct(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def begin_estimate(due: wp.array(dtype=wp.int32), scenes: Scenes, estimate: Estimate):
+    def begin_estimate(
+        # read
+        asked: wp.array(dtype=wp.int32),
+        by_device: wp.bool,
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # written
+        due: wp.array(dtype=wp.int32),
+        estimate: Estimate,
+    ):
         s = wp.tid()
-        if due[s] == 0:
+        wanted = asked[s] != 0
+        if by_device:
+            # Where lists are stale the estimate comes after them, as on a CPU: sums go by the order of the rows.
+            wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
+            wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
+        due[s] = wp.where(wanted, 1, 0)
+        if not wanted:
             return
         estimate.smallest[s] = wp.float64(1.0e30)
         estimate.fastest[s] = scenes.row[s].foreseen_speed
@@ -212,7 +232,8 @@ def reduce_kernel(scalar, pair_law, wall_law):
     WallParameters = wall_law.functions(scalar).Parameters
     floor_of = floor_function(scalar, pair_law, wall_law)
     matrices = stiffness_functions(scalar)
-    row_sum, stable = matrices.row_sum, matrices.stable
+    full, row_sum, stable = matrices.full, matrices.row_sum, matrices.stable
+    vec6 = wp.types.vector(6, scalar)
     xyz = vector_functions(scalar).xyz
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -240,10 +261,10 @@ def reduce_kernel(scalar, pair_law, wall_law):
         inertia = bodies.inertia[b]
         slight = wp.min(inertia)
         stout = wp.max(inertia)
-        k_sum = t.mat33()
-        c_sum = t.mat33()
-        k_turn = t.mat33()
-        c_turn = t.mat33()
+        k_sum = vec6()
+        c_sum = vec6()
+        k_turn = vec6()
+        c_turn = vec6()
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
         for place in range(base + bodies.first[b + s], base + bodies.first[b + s + 1]):
@@ -252,7 +273,7 @@ def reduce_kernel(scalar, pair_law, wall_law):
             k_turn += estimate.sums[place, 2]
             c_turn += estimate.sums[place, 3]
             for column in range(4):
-                estimate.sums[place, column] = t.mat33()
+                estimate.sums[place, column] = vec6()
             # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
             # Shear turns it about its long axis with the sphere's radius as lever, across it with the whole arm.
             radius = spheres.position[place][3]
@@ -267,11 +288,12 @@ def reduce_kernel(scalar, pair_law, wall_law):
             k_floor = scalar(0.0)
             c_floor = scalar(0.0)
         unit = t.vec3(mass, mass, mass)
-        step = stable(wp.max(row_sum(k_sum, unit), k_floor / mass), wp.max(row_sum(c_sum, unit), c_floor / mass))
+        k_move = wp.max(row_sum(full(k_sum), unit), k_floor / mass)
+        step = stable(k_move, wp.max(row_sum(full(c_sum), unit), c_floor / mass))
         axes = wp.quat_to_matrix(bodies.orientation[b])
-        k_spin = row_sum(wp.transpose(axes) * k_turn * axes, inertia)
+        k_spin = row_sum(wp.transpose(axes) * full(k_turn) * axes, inertia)
         if k_spin > scalar(0.0):
-            step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * c_turn * axes, inertia)))
+            step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * full(c_turn) * axes, inertia)))
         if wp.float64(step) < estimate.smallest[s]:
             wp.atomic_min(estimate.smallest, s, wp.float64(step))
         elif not (step >= scalar(0.0)):
@@ -297,15 +319,27 @@ def keep_kernel(scalar):
 
 @functools.cache
 def settle_kernel(scalar, subcycling: bool):
-    """Kernel over scenes: the stable step, driven walls included, and the size of the next steps."""
+    """Kernel over scenes: the stable step, driven walls included, and the size of the next steps.
+
+    Where the device decides, scenes go on with that; those for which it is not usable wait for the host to say so.
+    """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
+    arrived = arrived_function(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
-        due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled, walls: Walls, scenes: Scenes
-    ):  # fmt: skip
+        # read
+        due: wp.array(dtype=wp.int32),
+        by_device: wp.bool,
+        estimate: Estimate,
+        subcycled: Subcycled,
+        walls: Walls,
+        # read and written
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+    ):
         s = wp.tid()
         if due[s] == 0:
             return
@@ -328,9 +362,15 @@ def settle_kernel(scalar, subcycling: bool):
                 own = wp.sqrt(mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)
                 step = wp.min(step, own)
         scenes.clock[s, STABLE] = step
+        usable = step > wp.float64(0.0)
         if scenes.row[s].fixed_step > wp.float64(0.0):
             scenes.clock[s, DT] = scenes.row[s].fixed_step
+            usable = usable and scenes.row[s].fixed_step <= step * wp.max(one, scenes.row[s].safety)
         else:
             scenes.clock[s, DT] = wp.min(scenes.row[s].safety * step, scenes.row[s].largest_step)
+        if by_device and usable:
+            flags[s, ESTIMATED] = flags[s, STEPS]
+            if not arrived(flags, scenes, s):
+                flags[s, HALTED] = 0
 
     return settle_step

@@ -15,11 +15,11 @@ from .structs import array_structs
 @functools.cache
 def estimate_struct(scalar):
     """What the estimate adds up; `sums` has columns K and C of translation, K and C of rotation."""
-    t = types(scalar)
+    vec6 = wp.types.vector(6, scalar)
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=t.mat33)  # of each sphere, shape (spheres, 4); zero between two estimates
+        sums: wp.array2d(dtype=vec6)  # of each sphere, shape (spheres, 4); zero between two estimates
         wall_load: wp.array2d(dtype=wp.int64)  # stiffness [mN/m] and damping [mN s/m] of each wall, shape (walls, 2)
         smallest: wp.array(dtype=wp.float64)  # step of any body of a scene [s], shape (scenes,)
         fastest: wp.array(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (scenes,)
@@ -29,21 +29,37 @@ def estimate_struct(scalar):
 
 @functools.cache
 def stiffness_functions(scalar):
-    """`outer`, `turning` and `stable`: matrices of one contact, and the step that they allow."""
+    """`outer`, `turning` and `stable`: matrices of one contact, and the step that they allow.
+
+    Matrices are symmetric, and stand as xx, yy, zz, yz, xz, xy until they are `full`: a thread of a GPU has four sums.
+    """
     t = types(scalar)
+    vec6 = wp.types.vector(6, scalar)
+
+    @wp.func
+    def squared(n: t.vec3) -> vec6:
+        return vec6(n[0] * n[0], n[1] * n[1], n[2] * n[2], n[1] * n[2], n[0] * n[2], n[0] * n[1])
+
+    @wp.func
+    def times_unit(k: scalar) -> vec6:
+        return vec6(k, k, k, scalar(0.0), scalar(0.0), scalar(0.0))
+
+    @wp.func
+    def full(m: vec6) -> t.mat33:
+        return t.mat33(m[0], m[5], m[4], m[5], m[1], m[3], m[4], m[3], m[2])
 
     @wp.func
     def outer(n: t.vec3, kn: scalar, ks: scalar):
         """Stiffness kn along n and ks across it."""
-        return (kn - ks) * wp.outer(n, n) + ks * wp.identity(n=3, dtype=scalar)
+        return (kn - ks) * squared(n) + times_unit(ks)
 
     @wp.func
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
         """Stiffness against rotation of a contact at `r` from the centroid: springs at the end of the lever, and the
         bond's own moments. Dashpots likewise."""
         c = wp.cross(r, n)
-        levers = wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
-        return (kn - ks) * wp.outer(c, c) + ks * levers + outer(n, torsion, bending)
+        levers = times_unit(wp.length_sq(r)) - squared(r)
+        return (kn - ks) * squared(c) + ks * levers + outer(n, torsion, bending)
 
     @wp.func
     def row_sum(m: t.mat33, scale: t.vec3):
@@ -61,7 +77,7 @@ def stiffness_functions(scalar):
         """Step for stiffness and damping per mass."""
         return scalar(2.0) / (c + wp.sqrt(c * c + scalar(4.0) * k))
 
-    return SimpleNamespace(outer=outer, turning=turning, row_sum=row_sum, stable=stable)
+    return SimpleNamespace(outer=outer, turning=turning, full=full, row_sum=row_sum, stable=stable)
 
 
 @functools.cache
@@ -83,12 +99,14 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
 
+    vec6 = wp.types.vector(6, scalar)
+
     @wp.struct
     class Sums:
-        k: t.mat33
-        c: t.mat33
-        k_turn: t.mat33
-        c_turn: t.mat33
+        k: vec6
+        c: vec6
+        k_turn: vec6
+        c_turn: vec6
 
     @wp.func
     def add_pairs(

@@ -46,6 +46,8 @@ def scene_struct(scalar):
         safety: wp.float64  # of the automatic time step
         largest_step: wp.float64
         fixed_step: wp.float64  # 0: automatic
+        until: wp.float64  # time at which the scene halts [s]
+        interval: wp.int32  # steps from one estimate of the stable step to the next
         foreseen_speed: wp.float64  # that a wall will have or forces can give before the next estimate
         wall_stiffness: wp.float64  # least that a driven wall meets [N/m]
         largest_radius: scalar  # at full size

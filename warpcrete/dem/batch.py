@@ -8,6 +8,7 @@ finished scene costs nothing, and a scene alone and in a batch holds the same bi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,13 @@ from ..core.errors import CapacityError, refuse
 from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
-from ..kernels.common.control import FAILED, GOAL, HALTED, STALE, STEPS
+from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS, WAITS
 from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
 from ..kernels.dem.structs import array_structs, scene_struct
+from .ahead import NEVER, Ahead
 from .links import carry_links, even_pairs, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
@@ -38,8 +40,6 @@ OLD = 256
 PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
 thirds to the whole of one's time at a thousand spheres, one and a quarter to twice it at half as many."""
-CPU_LAUNCH = 64  # steps from one look at Ctrl-C to the next
-BATCH_LAUNCH = 32  # steps in flight before scenes that halted are looked after, where there are several
 
 
 def batch_key(model: Model) -> tuple:
@@ -128,15 +128,15 @@ class Batch:
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
         """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
-        self._since_build = self._since_captured = 0
-        self._between_builds = 64
-        self.goals = np.zeros(self.count, dtype=int)
+        self._since_captured = 0
+        self._ahead = Ahead(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
         self._walls: np.ndarray | None = None
         self._wall_reading: Stage | None = None
         self._unsent = False
         self._step: list[list[Any]] | None = None
+        self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
         self.split()
 
@@ -167,12 +167,11 @@ class Batch:
         joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
-            if len(array):
+            if array.size:  # without walls rows have no columns
                 view = joint[first : first + len(array)]
-                if array.size:
-                    wp.copy(view, array)
+                wp.copy(view, array)
                 setattr(part, name, view)
-                first += len(array)
+            first += len(array)
         return joint
 
     def _join_models(self) -> None:
@@ -227,6 +226,7 @@ class Batch:
         row["speed_limit"][s] = model.scene.watch.speed
         row["largest_radius"][s] = state.largest_radius
         row["growth_end"][s] = 1.0
+        row["until"][s], row["interval"][s] = np.inf, NEVER
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
     def _chained(self, arrays: list[wp.array]) -> wp.array:
@@ -344,21 +344,29 @@ class Batch:
         self._sync = None
         self._wall_reading = None
 
-    def use_step(self, step: list[list[Any]]) -> None:
-        """Take the stages of one step, a list for each thread; good until `has_step` says otherwise."""
-        self._step = step
+    def use_step(self, step: list[list[Any]], between: Callable[[], None] | None) -> None:
+        """Take the stages of one step, a list for each thread; good until `has_step` says otherwise.
+
+        `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate.
+        """
+        self._step, self._between = step, between
 
     @property
     def has_step(self) -> bool:
         """The stages are those of the arrays and chunks as they are now."""
         return self._step is not None
 
-    def goal(self, s: int, steps: int) -> None:
-        """Let a scene go on until it has completed so many steps."""
-        self.goals[s] = steps
+    def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf) -> None:
+        """Let a scene go on until it has completed so many steps, or has got to a time [s]; it is at neither yet."""
+        self.set(s, until=until)
         row = self.host_flags()[s]
         row[int(GOAL)] = steps
-        row[int(HALTED)] = int(row[int(STEPS)] >= steps or row[int(STALE)] != 0 or row[int(FAILED)] != 0)
+        row[int(HALTED)] = int(WAITS) if row[int(STALE)] != 0 or row[int(FAILED)] != 0 else 0
+        self._unsent = True
+
+    def estimated(self, s: int, steps: int) -> None:
+        """Note at how many completed steps the stable step of a scene was estimated."""
+        self.host_flags()[s, int(ESTIMATED)] = steps
         self._unsent = True
 
     def host_flags(self) -> np.ndarray:
@@ -404,28 +412,22 @@ class Batch:
     def launch(self) -> np.ndarray:
         """Launch steps until some scene needs looking after; returns a copy of all flags."""
         assert self._step is not None
-        flags = self.host_flags()
-        left = np.where(flags[:, int(HALTED)] == 0, flags[:, int(GOAL)] - flags[:, int(STEPS)], 0)
-        count = int(left.max(initial=0))
-        if self.count > 1:
-            count = min(count, BATCH_LAUNCH)
-        elif self.parallel:
-            # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
-            expected = self._between_builds - self._since_build
-            count = min(count, expected if expected > 0 else 16)
-        else:
-            count = min(count, CPU_LAUNCH)
-        before = int(flags[0, int(STEPS)])
+        before = int(self.host_flags()[0, int(STEPS)])
+        pieces = self._ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         self.device_changed()
         kind = "cuda" if self.parallel else "threads" if self.threads > 1 and self._since_captured > OLD else "cpu"
         largest = max(1, LARGEST_GRAPH[kind] // (1 + self.subcycles.rounds // 4))  # graphs of as many launches
-        sizes = graph_sizes(count, largest)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
-        self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
-        self.sync_bodies()
+        for count in pieces:
+            sizes = graph_sizes(count, largest)
+            self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
+            if self._between is not None:
+                self._between()
+        for stage in self.sync_stages():
+            stage()
         flags = self.host_flags().copy()
-        self._since_build += int(flags[0, int(STEPS)]) - before
-        self._since_captured += count
+        self._ahead.stepped(int(flags[0, int(STEPS)]) - before)
+        self._since_captured += sum(pieces)
         return flags
 
     def _alone(self) -> Step:
@@ -434,16 +436,14 @@ class Batch:
 
     def lists_built(self) -> None:
         """Lists are new."""
-        self._between_builds = max(self._since_build, 8)
-        self._since_build = 0
+        self._ahead.built()
 
     def in_parts(self, stages: list[Stage]) -> None:
         """Launch stages that chunks have apart, each on a thread of its own."""
         self._launcher.apart(stages)
 
-    def sync_bodies(self) -> None:
-        """Bring what bodies hold up to date with their spheres, where every body is one."""
-        if not self.features.clumps and self.sphere_count:
-            if self._sync is None:
-                self._sync = self.stage(sync_kernel(self.scalar), self.sphere_count)
-            self._sync()
+    def sync_stages(self) -> list[Stage]:
+        """What brings bodies up to date with their spheres, where every body is one: steps do not."""
+        if self._sync is None and self.sphere_count and not self.features.clumps:
+            self._sync = self.stage(sync_kernel(self.scalar), self.sphere_count)
+        return [] if self._sync is None else [self._sync]

@@ -20,7 +20,7 @@ from ..core.display import (
     on_palette,
 )
 from ..geometry.walls import Prescribed
-from .probes import largest_forces, listed_pairs
+from .probes import chunks_of, largest_forces, pairs_of
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 CONTACTS, BONDS = (130, 130, 130), (230, 140, 30)
@@ -123,7 +123,8 @@ class ElementDisplay(Display):
 
     def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
         """Touching pairs that are not bonded, and bonds."""
-        i, j, place = self.once("listed pairs", lambda: listed_pairs(self.simulation.state))
+        chunks = self.once("chunks", lambda: chunks_of(self.simulation.state))
+        i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
         position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
         touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach

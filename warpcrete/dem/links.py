@@ -26,7 +26,7 @@ def make_links(batch: Any) -> Any:
     """Links with as much room as the lists of a :class:`Batch` have; no pair is known yet. A CPU has none."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
-    n = batch.sphere_count if batch.parallel else 0
+    n = batch.sphere_count if batch.parallel and batch.features.clumps else 0
     sizes = {"pull": 2 * lists, "force": n, "moment": n, "lost": n if batch.features.dissipation else 0}
     links = struct()
     for name, variable in struct.vars.items():

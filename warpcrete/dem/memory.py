@@ -9,11 +9,10 @@ import warp as wp
 
 from ..core.device import MEMORY_FRACTION, memory_free
 from ..core.errors import CapacityError
-from ..kernels.common.types import types
 from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
 from .bodies import BodyTable
 from .model import Model
-from .neighbors import OCTANTS
+from .neighbors import KEPT
 from .state import State, pair_bytes
 
 LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
@@ -37,14 +36,14 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     scalar = wp.types.type_size_in_bytes(model.scalar)
     # Besides the state: the list before (for history), row starts and grid, the estimate's sums, the probes' rows.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    estimate = 4 * wp.types.type_size_in_bytes(types(model.scalar).mat33)
+    estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
         listing += 4 * listed + 4  # what a search finds, and where
     else:
-        listing += 4 * OCTANTS  # how much each of its threads finds
+        listing += 4 * KEPT  # what a search finds
         # Links, each two entries of a list: the pair, its scene and state; what it gives at both; a sphere's sums.
-        listing += listed * (12 + 8 * scalar) + 6 * scalar
+        listing += listed * (12 + 8 * scalar) + (6 * scalar if model.features.clumps else 0)
     if model.features.subcycling and model.scene.hydration is not None:
         # Three pairs a sphere at most, as many of them stiff as are hydrated; bodies that have some.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar

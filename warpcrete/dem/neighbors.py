@@ -14,16 +14,20 @@ from ..core.launching import Stage, block_size, launch
 from ..kernels.common.control import STALE
 from ..kernels.common.types import types
 from ..kernels.dem.linking import linking_kernels
+from ..kernels.dem.lists import list_kernels, transfer_kernel
 from ..kernels.dem.mesh_contacts import candidate_kernels
-from ..kernels.dem.search import list_kernels, search_kernels, transfer_kernel
+from ..kernels.dem.search import full_search_kernels, half_search_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
 from .batch import MAXIMUM_ENTRIES, Batch
+from .cells import Cells
 from .stages import MANY, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
-DRIFT_LANES = 256
+DRIFT_LANES = 64
 OCTANTS = 8
 """Threads of a GPU that search for the neighbours of a sphere, and fill its row, where there are few."""
+KEPT = 64
+"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice."""
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
     "spheres": ("scene", "body", "force", "moment"),
@@ -38,8 +42,9 @@ class _Launches:
 
     centres: Stage
     stretch: Stage
-    count: list[Stage]
     search: list[Stage]
+    fill: list[Stage]
+    """Of a GPU: puts into rows what the search found."""
     starts: Stage
     transfer: list[Stage]
     drift: Stage
@@ -66,9 +71,7 @@ class NeighborLists:
         """Of a scene's spheres at full size [m]."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
-        # Few points to a cell; positions wrap, so any domain fits.
-        side = int(np.clip(2 ** np.ceil(np.log2(max(n, 1) ** (1 / 3))), 16, 256 if batch.parallel else 64))
-        self._grid = wp.HashGrid(side, side, side, device=batch.device, dtype=batch.scalar)
+        self._cells = Cells(batch)
 
         def zeros(shape: Any, dtype: Any = wp.int32) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=batch.device)
@@ -81,8 +84,8 @@ class NeighborLists:
         self._place = zeros(n if f.half_list else 0)
         self._wanted = zeros(batch.threads)
         # Of a batch one scene or a few are searched at a time.
-        self._searchers = OCTANTS if batch.device.is_cuda and n < MANY * scenes else 1
-        self._shares = zeros(n * self._searchers if self._searchers > 1 else 0)
+        self._searchers = OCTANTS if batch.parallel and n < MANY * scenes else 1
+        self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
         self._boxes = zeros((batch.threads, 2), t.vec3)
         self._total, self._face_total = zeros(scenes), zeros(scenes)
         self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
@@ -112,19 +115,22 @@ class NeighborLists:
         self.builds[stale] += 1
         wp.copy(self._old.start, b.pairs.start)
         self._keep_old(np.flatnonzero(stale))
-        launches = self._launches(sort)
-        launches.centres()
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
         # Cells for the many small spheres: the few large ones look through more of them.
-        cell = float(np.max(2 * self.mean_radius * scale + b.rows["skin"]))
-        self._grid.build(self._centre, radius=cell, groups=b.spheres.scene if b.count > 1 else None)
+        width = float(np.max(2 * self.mean_radius * scale + b.rows["skin"]))
+        if (sort or not self._cells.fitted) and self._cells.fit(width):
+            self._recorded.clear()
+        launches = self._launches(sort)
+        launches.centres()
+        self._cells.build(self._centre, width)
         if b.features.bonds:
             self._stretched.zero_()
             launches.stretch()
         if b.features.half_list:
             launches = self._search(sort)
         else:
-            b.in_parts(launches.count)
+            self._count.zero_()
+            b.in_parts(launches.search)
         wanted = self._starts(launches.starts, self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
@@ -132,8 +138,7 @@ class NeighborLists:
             launches = self._launches(sort)
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
-        if not b.features.half_list:
-            b.in_parts(launches.search)
+        b.in_parts(launches.fill)
         b.in_parts(launches.transfer)
         self._link(launches)
         if b.features.meshes:
@@ -176,9 +181,8 @@ class NeighborLists:
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         return [
-            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.transfer, *each.links,
-            *each.faces,
-            *([] if b.features.half_list else each.count), *([each.stretch] if b.features.bonds else []),
+            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.fill, *each.transfer,
+            *each.links, *each.faces, *([each.stretch] if b.features.bonds else []),
             invert, *order, *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
 
@@ -248,35 +252,42 @@ class NeighborLists:
         edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
         chunks = list(pairwise(b.sphere_chunks.tolist()))
         lists = list_kernels(b.scalar)
-        count, search = search_kernels(b.scalar, f.half_list, f.bonds, self._searchers)
-        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds, self._searchers)
-
-        def searching(kernel: Any) -> list[Stage]:
-            return [
+        lanes = 1 if f.half_list else OCTANTS
+        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds, lanes)
+        cells = {"grid": self._cells.grid.id, "shift": self._cells.shift}
+        before = {"old_pairs": self._old, "old_place": old_place, "stretched": self._stretched}
+        if f.half_list:
+            kernel = half_search_kernel(b.scalar, f.bonds)
+            search = [
                 b.stage(
-                    kernel, 1 if f.half_list else n * self._searchers, grid=self._grid.id, first=first, last=last,
-                    part=part, boxes=self._boxes, old_pairs=self._old, old_place=old_place, stretched=self._stretched,
-                    count=self._count, place=self._place, room=wp.vec2i(edges[part], edges[part + 1]),
-                    wanted=self._wanted, other=found, shares=self._shares,
+                    kernel, 1, first=first, last=last, part=part, boxes=self._boxes, count=self._count,
+                    place=self._place, room=wp.vec2i(edges[part], edges[part + 1]), wanted=self._wanted, other=found,
+                    **cells, **before,
                 )
                 for part, (first, last) in enumerate(chunks)
             ]  # fmt: skip
+            fill = []
+        else:
+            kernels = full_search_kernels(b.scalar, f.bonds, self._searchers)
+            finds = {"count": self._count, "finds": self._finds, **cells, **before}
+            search = [b.stage(kernels[0], n * self._searchers, **finds)]
+            fill = [b.stage(kernels[1], n * self._searchers, **finds)]
 
         def starts(start: wp.array, total: wp.array) -> Stage:
             return b.stage(lists.starts, n + b.count, scanned=self._scanned, start=start, total=total)
 
         launches = _Launches(
-            centres=b.stage(lists.centres, n, centre=self._centre),
+            centres=b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
             stretch=b.stage(
                 lists.stretch, n, old_pairs=self._old, old_place=old_place, new_place=new_place,
                 stretched=self._stretched,
             ),
-            count=searching(count),
-            search=searching(search),
+            search=search,
+            fill=fill,
             starts=starts(b.pairs.start, self._total),
             transfer=[
                 b.stage(
-                    transfer, self._searchers * tasks(b, last - first), first=first, last=last, old_pairs=self._old,
+                    transfer, lanes * tasks(b, last - first), first=first, last=last, old_pairs=self._old,
                     old_place=old_place, place=self._place, found=found,
                 )
                 for first, last in chunks
@@ -285,11 +296,11 @@ class NeighborLists:
             clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
         )  # fmt: skip
         if not f.half_list:
-            linking = linking_kernels(b.scalar, f.history, f.bonds)
+            linking = linking_kernels(b.scalar, f.history, f.bonds, OCTANTS)
             launches.links = [
                 b.stage(linking.clear_links, len(b.links.link), block=block_size(n)),
                 b.stage(linking.count_own, n, count=self._count),
-                b.stage(linking.fill_links, n, scanned=self._scanned),
+                b.stage(linking.fill_links, OCTANTS * n, scanned=self._scanned),
             ]
         if f.meshes:
             count_faces, fill_faces = candidate_kernels(b.scalar)

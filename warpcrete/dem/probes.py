@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
+from ..core.launching import DEFAULT_BLOCK, Size, Stage, at_once, parameter_names
 from ..kernels.dem import probes as column
 from .model import Model
 from .state import State
@@ -66,12 +66,29 @@ class BodySums:
 
 def body_sums(model: Model, state: State) -> BodySums:
     """Energies, momentum and drive forces of all bodies."""
-    n = state.body_count
-    if n == 0:
+    if state.body_count:
+        _run(state, "bodies", lambda: _body_stages(model, state))
+    return _read_bodies(state)
+
+
+def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
+    """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
+    if state.sphere_count:
+        _run(state, "contacts", lambda: _contact_stages(model, state))
+    return _read_contacts(state, coordination)
+
+
+def both_sums(model: Model, state: State) -> tuple[BodySums, ContactSums]:
+    """Sums over bodies and over contacts, which a GPU makes with one launch, and the host waits for once."""
+    if state.body_count:
+        _run(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
+    return _read_bodies(state), _read_contacts(state, False)
+
+
+def _read_bodies(state: State) -> BodySums:
+    if state.body_count == 0:
         return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
-    values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
-    _launch(state, "bodies", lambda: (column.body_probe(model.scalar), n, {"values": values}))
-    total = _summed(state, "bodies", values, n, column.BODY_MAXIMA)
+    total = _sums(state, "bodies", int(column.BODY_COLUMNS)).numpy().copy()
     mass = state.total_mass
     return BodySums(
         kinetic_energy=float(total[column.KINETIC]),
@@ -85,12 +102,10 @@ def body_sums(model: Model, state: State) -> BodySums:
     )
 
 
-def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
-    """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
+def _read_contacts(state: State, coordination: bool) -> ContactSums:
     if state.sphere_count == 0:
         return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0, 0)
-    values = _measure_contacts(state)[0]
-    total = _summed(state, "contacts", values, state.sphere_count, column.CONTACT_MAXIMA)
+    total = _sums(state, "contacts", int(column.CONTACT_COLUMNS)).numpy().copy()
     contacts = int(total[column.CONTACTS])
     return ContactSums(
         contacts=contacts,
@@ -108,43 +123,71 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
     )
 
 
-def _summed(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> np.ndarray:
-    """Sum (or maximum) of every column, added on the device in an order that depends on the number of rows only."""
+def _body_stages(model: Model, state: State) -> list[Stage]:
+    n = state.body_count
+    values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
+    probe = _stage(state, column.body_probe(model.scalar), n, values=values)
+    return [probe, *_adding(state, "bodies", values, n, column.BODY_MAXIMA)]
+
+
+def _contact_stages(model: Model, state: State) -> list[Stage]:
+    values, n = _contact_rows(state)[0], state.sphere_count
+    return [*_probing(model, state), *_adding(state, "contacts", values, n, column.CONTACT_MAXIMA)]
+
+
+def _sums(state: State, what: str, columns: int) -> wp.array:
+    return state.scratch(f"{what}, sums", (columns,), wp.float64)
+
+
+def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
+    """Stages for the sum (or maximum) of every column, added in an order that depends on the number of rows only."""
     columns = values.shape[1]
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
-    sums = state.scratch(f"{what}, sums", (columns,), wp.float64)
     partial, whole = column.column_kernels(maxima)
-    given = {"values": values, "rows": rows, "lanes": lanes}
-    _launch(state, f"{what}, lanes", lambda: (partial, (column.LANES, columns), given))
-    _launch(state, f"{what}, sums", lambda: (whole, columns, {"lanes": lanes, "sums": sums}))
-    return sums.numpy().copy()
+    return [
+        _stage(state, partial, (column.LANES, columns), values=values, rows=rows, lanes=lanes),
+        _stage(state, whole, columns, lanes=lanes, sums=_sums(state, what, columns)),
+    ]
 
 
-def _launch(state: State, what: str, make: Callable[[], tuple[Any, Size, dict[str, Any]]]) -> None:
-    """Launch over one scene of a batch what `make` says: a kernel, its tasks and arguments. Parameters that it does not
-    name are the batch's attributes of their names. Recorded once, until an array of the batch's is another.
-    """
+def _stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
+    """A launch over one scene of a batch; parameters that are not named are the batch's attributes of their names."""
     batch = state.batch
-    stages = state.launches(batch.version)
-    if what not in stages:
-        kernel, dim, named = make()
-        given = {"s": state.index, **named}
-        bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
-        stages[what] = Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
-    stages[what]()
+    given = {"s": state.index, **named}
+    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
+    return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
+
+
+def _run(state: State, what: str, make: Callable[[], list[Stage]]) -> None:
+    """Launch the stages that `make` gives; recorded once, until an array of the batch's is another."""
+    recorded = state.launches(state.batch.version)
+    if what not in recorded:
+        recorded[what] = at_once(make(), state.batch.device)
+    recorded[what]()
+
+
+def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
+    """Rows of the contact probe in the order of the spheres' permanent numbers, and each listed pair's normal force."""
+    values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
+    return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
+
+
+def _probing(model: Model, state: State) -> list[Stage]:
+    f = model.features
+    values, forces = _contact_rows(state)
+    probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
+    base = int(state.batch.rows["spheres"][state.index])
+    return [
+        _stage(
+            state, probe, last - first, first=base + first, last=base + last, values=values, pair_normal_force=forces
+        )
+        for first, last in pairwise(state.chunks)
+    ]
 
 
 def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
-    """Rows of the contact probe in the order of the spheres' permanent numbers, and each listed pair's normal force."""
-    f, model, n = state.model.features, state.model, state.sphere_count
-    values = state.scratch("contact rows", (n, int(column.CONTACT_COLUMNS)), wp.float64)
-    forces = state.scratch("pair forces", (len(state.pairs.other),), model.scalar)
-    probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
-    base = int(state.batch.rows["spheres"][state.index])
-    for first, last in pairwise(state.chunks):
-        given = {"first": base + first, "last": base + last, "values": values, "pair_normal_force": forces}
-        _launch(state, f"contacts of {first} to {last}", lambda given=given, tasks=last - first: (probe, tasks, given))
-    return values, forces
+    _run(state, "contact rows", lambda: _probing(state.model, state))
+    return _contact_rows(state)
 
 
 def deepest_sphere(model: Model, state: State) -> int:
@@ -168,14 +211,25 @@ def largest_forces(model: Model, state: State) -> np.ndarray:
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places of both spheres of every listed pair, each pair once, and its place in the pair arrays."""
-    start = state.pairs.start.numpy()
-    other = state.pairs.other.numpy()[: state.pair_total]
-    i = np.repeat(np.arange(state.sphere_count), np.diff(start))
+    return pairs_of(state.pairs.start.numpy(), state.pairs.other.numpy(), chunks_of(state))
+
+
+def chunks_of(state: State) -> list[int] | None:
+    """First spheres of the chunks of half lists, and the end; None of full ones."""
+    return list(state.chunks) if state.model.features.half_list else None
+
+
+def pairs_of(
+    start: np.ndarray, other: np.ndarray, chunks: list[int] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What :func:`listed_pairs` returns, from copies of lists."""
+    other = other[: start[-1]]
+    i = np.repeat(np.arange(len(start) - 1), np.diff(start))
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
-    if state.model.features.half_list:
+    if chunks is not None:
         # Pairs inside a chunk stand once, at either sphere.
-        once |= np.searchsorted(state.chunks, i, "right") == np.searchsorted(state.chunks, j, "right")
+        once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)
 
 

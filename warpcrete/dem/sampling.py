@@ -12,7 +12,7 @@ from ..geometry.walls import Wall
 from ..kernels.dem.probes import FORCE, IMPULSE, TRAVEL, TURN, WORK
 from ..kernels.dem.structs import DT, DT_PREVIOUS, TIME
 from .model import Model
-from .probes import body_sums, contact_sums
+from .probes import both_sums
 from .state import State
 
 UNITS = {
@@ -97,7 +97,7 @@ class Sampler:
     def sample(self) -> dict[str, float]:
         """Measure, and append a row."""
         model, state, scene = self.model, self.state, self.model.scene
-        bodies, contacts = body_sums(model, state), contact_sums(model, state)
+        bodies, contacts = both_sums(model, state)
         clock, walls = state.batch.host_clock()[state.index], state.batch.host_walls(state.index)
         impulse = self._forces(clock, walls, bodies.drive_power)
         row = {"time": float(clock[int(TIME)])} | self._pressure(walls)

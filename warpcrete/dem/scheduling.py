@@ -83,7 +83,9 @@ def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
         try:
             if stop is None:
                 if not lists.batch.has_step:
-                    lists.batch.use_step(step_stages(lists.batch))
+                    estimate = members[waiting[0]].stepper.stable_step
+                    between = estimate.by_device() if lists.batch.parallel else None
+                    lists.batch.use_step(step_stages(lists.batch), between)
                 flags = lists.batch.launch()
                 for s in waiting:
                     if (error := members[s].stepper.trouble(flags[s])) is not None:
@@ -92,13 +94,8 @@ def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
                     with put_off():
                         lists()
                 ready = [s for s in waiting if members[s].waiting and members[s].stepper.reached(flags[s])]
-                estimate = members[waiting[0]].stepper.stable_step
-                try:
-                    estimate.foresee([s for s in ready if members[s].stepper.wants_estimate()])
-                    for s in ready:
-                        go_on(s, stop)
-                finally:
-                    estimate.forget()
+                for s in ready:
+                    go_on(s, stop)
         except KeyboardInterrupt as interruption:
             stop = interruption
         except CapacityError as full:  # of the lists, which all scenes share

@@ -40,57 +40,47 @@ class StableStep:
         self._estimate.wall_load = zeros("wall_load", (batch.wall_count, 2))
         self._estimate.smallest = zeros("smallest", batch.count)
         self._estimate.fastest = zeros("fastest", batch.count)
+        self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._asked_before = np.zeros(batch.count, dtype=np.int32)
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
-        self._due_before = np.zeros(batch.count, dtype=np.int32)
-        self._recorded: dict[int, Callable[[], None]] = {}
+        self._recorded: dict[tuple[int, bool], Callable[[], None]] = {}
         self._version = -1
-        self._known: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate for scene number `s`, unless that is done already."""
-        if s in self._known:
-            self._known.discard(s)
-            return
-        self._estimate_for([s])
-
-    def foresee(self, scenes: list[int]) -> None:
-        """Estimate for scenes that will want it before the next step; a GPU does all in the time of one."""
-        if len(scenes) > 1 and self.batch.parallel:
-            self._estimate_for(scenes)
-            self._known = set(scenes)
-
-    def forget(self) -> None:
-        """What was foreseen, and nobody asked for, holds no more."""
-        self._known.clear()
-
-    def _estimate_for(self, scenes: list[int]) -> None:
-        due = np.zeros(self.batch.count, dtype=np.int32)
-        due[scenes] = 1
-        if not np.array_equal(due, self._due_before):
-            self._due.assign(due)
-            self._due_before = due
+        """Estimate for scene number `s`."""
+        asked = np.zeros(self.batch.count, dtype=np.int32)
+        asked[s] = 1
+        if not np.array_equal(asked, self._asked_before):
+            self._asked.assign(asked)
+            self._asked_before = asked
         self.batch.device_changed()
-        self._launch(scenes[0])()
+        self._launch(s, False)()
         self.batch.device_changed()
+
+    def by_device(self) -> Callable[[], None]:
+        """What estimates, for all scenes that have come to where they must be, and lets them go on: for a GPU, which
+        has the host wait for none of it."""
+        return self._launch(-1, True)
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
-        return self._stages(-1 if self.batch.parallel else 0)
+        return self._stages(-1 if self.batch.parallel else 0, False)
 
-    def _launch(self, s: int) -> Callable[[], None]:
+    def _launch(self, s: int, by_device: bool) -> Callable[[], None]:
         if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU goes through the spheres of one scene, chunk by chunk.
-        which = -1 if self.batch.parallel else s
-        if which not in self._recorded:
-            self._recorded[which] = at_once(self._stages(which), self.batch.device)
-        return self._recorded[which]
+        key = -1 if self.batch.parallel else s, by_device
+        if key not in self._recorded:
+            self._recorded[key] = at_once(self._stages(*key), self.batch.device)
+        return self._recorded[key]
 
-    def _stages(self, which: int) -> list[Stage]:
+    def _stages(self, which: int, by_device: bool) -> list[Stage]:
         """Stages for one scene, or (-1) for all that are due."""
         b, f = self.batch, self.batch.features
         own = {"due": self._due, "estimate": self._estimate}
+        begin = {"asked": self._asked, "by_device": by_device, **own}
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling)
         reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law)
         spheres, bodies = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
@@ -100,7 +90,7 @@ class StableStep:
 
         def smallest(stiff: bool) -> list[Stage]:
             return [
-                b.stage(begin_kernel(b.scalar), b.count, **own),
+                b.stage(begin_kernel(b.scalar), b.count, **begin),
                 *(
                     b.stage(gather, last - first, begin=spheres + first, first=spheres + first, last=spheres + last,
                             stiff=stiff, **own)
@@ -111,10 +101,11 @@ class StableStep:
             ]  # fmt: skip
 
         rounds = {"subcycled": b.subcycles.arrays}
-        stages = [*smallest(False), b.stage(settle_kernel(b.scalar, f.subcycling), b.count, **own, **rounds)]
+        settle = b.stage(settle_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
+        stages = [*smallest(False), settle]
         if f.subcycling:
             stages = [*smallest(True), b.stage(keep_kernel(b.scalar), b.count, **own, **rounds), *stages]
-        return stages
+        return [*b.sync_stages(), *stages] if by_device else stages
 
 
 def foreseen_speed(scene: Scene, horizon: float) -> float:

@@ -74,7 +74,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     stages += [
         # Blocks by the spheres: kernels are compiled before there are links.
         b.stage(kernel, -(-links // (width * candidates)) * width, candidates=candidates, block=block_size(n)),
-        b.stage(gather_kernel(b.scalar, f.dissipation), n),
+        *([b.stage(gather_kernel(b.scalar, f.dissipation), n)] if f.clumps else []),
         _motion(b, 0, b.body_count),
         *(b.subcycles.stages(0) if f.subcycling else ()),
         b.stage(clock_kernel(b.scalar, f.growth), b.count),

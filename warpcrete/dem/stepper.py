@@ -10,10 +10,12 @@ import numpy as np
 from ..core.errors import CapacityError, InstabilityError, refuse
 from ..core.run_loop import Coroutine, Until
 from ..geometry.walls import MeshWall
-from ..kernels.common.control import FAILED, OVERFLOW, STALE, STEPS
+from ..kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
+from ..kernels.dem.clock import CLOSE
 from ..kernels.dem.structs import DT_PREVIOUS, TIME
 from ..kernels.dem.subcycling import PART
 from ..kernels.dem.wall_motion import SPEED_LIMIT
+from .ahead import NEVER
 from .batch import Batch
 from .bonding import make_bonds, reassign_bonds
 from .loading import load_kernels
@@ -79,12 +81,14 @@ class Stepper:
             # What spheres and moving meshes may go between two builds adds up to the skin.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
-        self._since_estimate = math.inf
-        self._taken = 0
+        self._estimated = False
         self._foreseen = -1.0, 0.0
         self.running = False  # until then an unstable fixed step is bad input, later an instability
         if resumed is not None:
-            self.lists.builds[self.index], self._since_estimate = resumed["builds"], resumed["since_estimate"]
+            self.lists.builds[self.index] = resumed["builds"]
+            if math.isfinite(resumed["since_estimate"]):
+                self._estimated = True
+                self.batch.estimated(self.index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(self.index, resumed["subcycles"])
         if resumed is None or self.index in self.batch.rechunked:
             self.rebuild()
@@ -96,7 +100,7 @@ class Stepper:
         return {
             "skin": self.skin,
             "builds": int(self.lists.builds[self.index]),
-            "since_estimate": self._since_estimate,
+            "since_estimate": self._since_estimate(),
             "subcycles": self.batch.subcycles.state_dict(self.index),
         }
 
@@ -135,12 +139,12 @@ class Stepper:
         made = make_bonds(self.model, self.state, bonds, kind, group)
         self.batch.set(self.index, skin=self.skin)
         self.rebuild()
-        self._since_estimate = math.inf
+        self._estimated = False
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
         """Give a random part of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
-        self._since_estimate = math.inf
+        self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
             self._choose_rounds()
@@ -168,7 +172,7 @@ class Stepper:
             getattr(state.walls, name).zero_()
         state.spheres.dissipated_energy.zero_()
         state.spheres.broken.zero_()
-        self._since_estimate = math.inf
+        self._estimated = False
         self.rebuild()
 
     def stop_motion(self) -> None:
@@ -195,6 +199,7 @@ class Stepper:
             self.index,
             safety=step.safety,
             largest_step=step.largest,
+            interval=step.interval,
             fixed_step=step.fixed or 0.0,
             foreseen_speed=self._foreseen[1],
         )
@@ -217,39 +222,42 @@ class Stepper:
                     "given for an automatic one"
                 )
             refuse("time_step", fixed, what, "leave it out for an automatic step")
-        self._since_estimate = 0
+        self._estimated = True
+        self.batch.estimated(self.index, self.steps)
         return dt
+
+    def _since_estimate(self) -> float:
+        """Steps taken since the stable step was estimated; infinite where it must be anew."""
+        if not self._estimated:
+            return math.inf
+        flags = self.batch.host_flags()[self.index]
+        return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Coroutine that gets to a goal: a time, to within one step, or a number of steps of the present size.
 
-        It yields when the batch has a step count to work for, and goes on when that is reached.
+        It yields when the batch has something to work for, and goes on when the scene has halted because it is there,
+        or, on a CPU, because its stable step must be estimated.
         """
         if isinstance(goal, Steps):
             yield from self._taking(goal.count)
             return
         while True:
-            dt = self.dt
-            if self._since_estimate >= self.time_step.interval:
-                dt = self.choose_dt()
-            left = math.ceil((goal.time - self.time) / dt - 1e-6)
-            if left <= 0:
+            self._set_step()
+            if self._since_estimate() >= self.time_step.interval:
+                self.choose_dt()
+            if not goal.time - self.time > CLOSE * self.dt:
                 return
-            yield from self._taking(min(left, self.time_step.interval - int(self._since_estimate)))
+            self.batch.goal(self.index, until=goal.time)
+            yield
 
     def _taking(self, count: int) -> Coroutine:
-        if self._since_estimate == math.inf:
+        if not self._estimated:
             self.choose_dt()
         if count > 0:
-            self.batch.goal(self.index, self.steps + count)
-            self._taken = count
+            self.batch.set(self.index, interval=NEVER)
+            self.batch.goal(self.index, steps=self.steps + count)
             yield
-        self._since_estimate += count
-
-    def wants_estimate(self) -> bool:
-        """Whether, having reached its goal, it will estimate the step before anything else."""
-        self._set_step()
-        return self._since_estimate + self._taken >= self.time_step.interval
 
     def advance(self, until: float) -> None:
         """Step until the simulated time reaches `until` [s], to within one step."""
@@ -290,8 +298,8 @@ class Stepper:
         return None
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Whether a scene with these flags has taken the steps that it wanted."""
-        return bool(flags[int(STEPS)] >= self.batch.goals[self.index])
+        """Whether a scene with these flags is where it wanted to be, or must be looked after."""
+        return int(flags[int(HALTED)]) == int(ARRIVED)
 
 
 def steppers_of(

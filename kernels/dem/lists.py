@@ -1,0 +1,191 @@
+"""Verlet lists from what a search found, with contact history carried over exactly.
+
+All kernels run over a whole batch and pass by the scenes whose lists are fresh: those keep their rows.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import FAILED, HALTED, STALE
+from ..common.types import SPAN, types, vector_functions
+from .clock import arrived_function
+from .pairs import ALL_TOUCHED, decode
+from .search import find_function
+from .structs import SINCE_BUILD, array_structs
+
+SAMPLED = wp.constant(64)
+"""Spheres of a part of a scene whose velocities are added up, about."""
+
+
+@functools.cache
+def transfer_kernel(scalar, half: bool, history: bool, bonds: bool, lanes: int = 1):
+    """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list.
+
+    A sphere's entries fall to so many `lanes`, threads of a GPU, in turn.
+    """
+    t = types(scalar)
+    span = SPAN if half else 1
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    find = find_function(scalar, half)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def transfer_history(
+        # chunk
+        first: wp.int32,
+        last: wp.int32,
+        # read
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        old_pairs: Pairs,
+        old_place: wp.array(dtype=wp.int32),
+        place: wp.array(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
+        # read and written
+        spheres: Spheres,
+        pairs: Pairs,
+    ):
+        lane = wp.tid() % lanes
+        begin = first + wp.tid() / lanes * wp.static(span)
+        for i in range(begin, wp.min(begin + wp.static(span), last)):
+            s = spheres.scene[i]
+            if flags[s, STALE] == 0:
+                continue
+            base = scenes.row[s].spheres
+            row = scenes.row[s].pairs
+            if wp.static(half and (history or bonds)):
+                spheres.touching[i] = wp.static(ALL_TOUCHED)
+            for k in range(row + pairs.start[i + s] + lane, row + pairs.start[i + s + 1], lanes):
+                j = base + pairs.other[k]
+                if wp.static(half):
+                    j = base + found[place[i] + k - row - pairs.start[i + s]]
+                entry = j - base
+                if spheres.id[j] < spheres.id[i]:
+                    entry = -1 - entry
+                pairs.other[k] = entry
+                if wp.static(history or bonds):
+                    old = find(old_pairs, s, base, row, old_place[i], old_place[j])
+                    if wp.static(history):
+                        if old >= 0:
+                            pairs.history[k] = old_pairs.history[old]
+                        else:
+                            pairs.history[k] = t.vec3()
+                    if wp.static(bonds):
+                        if old >= 0:
+                            pairs.bond[k] = old_pairs.bond[old]
+                            pairs.bond_force[k] = old_pairs.bond_force[old]
+                            pairs.bond_moment[k] = old_pairs.bond_moment[old]
+                        else:
+                            pairs.bond[k] = 0
+                            pairs.bond_force[k] = t.vec4()
+                            pairs.bond_moment[k] = t.vec4()
+
+    return transfer_history
+
+
+@functools.cache
+def list_kernels(scalar):
+    """Kernels around a search: ``centres``, ``stretch``, ``starts``, ``drift``, ``clear_stale``."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs, Walls = structs.Scenes, structs.Spheres, structs.Pairs, structs.Walls
+    xyz = vector_functions(scalar).xyz
+    arrived = arrived_function(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def centres(
+        flags: wp.array2d(dtype=wp.int32), shift: wp.array(dtype=t.vec3), spheres: Spheres,
+        centre: wp.array(dtype=t.vec3),
+    ):  # fmt: skip
+        """Points for the grid; from here on spheres of stale scenes count how far they go."""
+        i = wp.tid()
+        centre[i] = xyz(spheres.position[i]) + shift[spheres.scene[i]]
+        if flags[spheres.scene[i], STALE] != 0:
+            spheres.built[i] = spheres.position[i]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def stretch(
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        spheres: Spheres,
+        old_pairs: Pairs,
+        old_place: wp.array(dtype=wp.int32),
+        new_place: wp.array(dtype=wp.int32),
+        stretched: wp.array(dtype=scalar),
+    ):
+        """Longest gap of each sphere across which a bond of the old list holds, a little more for rounding."""
+        i = wp.tid()
+        s = spheres.scene[i]
+        if flags[s, STALE] == 0:
+            return
+        base = scenes.row[s].spheres
+        row = scenes.row[s].pairs
+        old_i = old_place[i]
+        for old in range(row + old_pairs.start[old_i + s], row + old_pairs.start[old_i + s + 1]):
+            if old_pairs.bond[old] > 0:
+                j = new_place[base + decode(old_pairs.other[old])]
+                distance = wp.length(xyz(spheres.position[j]) - xyz(spheres.position[i]))
+                gap = scalar(1.001) * (distance - spheres.position[i][3] - spheres.position[j][3])
+                if gap > scenes.row[s].skin:
+                    wp.atomic_max(stretched, i, gap)
+                    wp.atomic_max(stretched, j, gap)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def starts(
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        slot_scene: wp.array(dtype=wp.int32),
+        scanned: wp.array(dtype=wp.int32),
+        start: wp.array(dtype=wp.int32),
+        total: wp.array(dtype=wp.int32),
+    ):
+        """Row starts of the stale scenes from a scan over all; a scene's last row tells how many entries it has."""
+        e = wp.tid()
+        s = slot_scene[e]
+        if flags[s, STALE] == 0:
+            return
+        begin = scenes.row[s].spheres + s
+        start[e] = scanned[e] - scanned[begin]
+        if e == begin + scenes.row[s].sphere_count:
+            total[s] = scanned[e] - scanned[begin]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
+        """Sum of velocities of some of a scene's spheres.
+
+        Lists are complete whatever the common drift is, only not for as long: a sample of all does.
+        """
+        s, lane = wp.tid()
+        if flags[s, STALE] == 0:
+            return
+        total = wp.vec3d()
+        n = wp.int64(scenes.row[s].sphere_count)
+        parts = wp.int64(lanes.shape[1])
+        first = wp.int32(n * wp.int64(lane) / parts)
+        last = wp.int32(n * wp.int64(lane + 1) / parts)
+        stride = 1 + (last - first) / SAMPLED
+        for i in range(scenes.row[s].spheres + first, scenes.row[s].spheres + last, stride):
+            total += wp.vec3d(xyz(spheres.velocity[i]))
+        taken = wp.max((last - first + stride - 1) / stride, 1)
+        lanes[s, lane] = total * (wp.float64(last - first) / wp.float64(taken))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
+        """One thread a scene: the lists are as new; go on, unless there is another reason to wait."""
+        s = wp.tid()
+        if flags[s, STALE] == 0:
+            return
+        total = wp.vec3d()
+        for lane in range(lanes.shape[1]):
+            total += lanes[s, lane]
+        scenes.reference_velocity[s] = t.vec3(total / wp.float64(wp.max(scenes.row[s].sphere_count, 1)))
+        for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
+            walls.moved[w] = wp.float64(0.0)
+        scenes.clock[s, SINCE_BUILD] = wp.float64(0.0)
+        flags[s, STALE] = 0
+        if flags[s, FAILED] == 0 and not arrived(flags, scenes, s):
+            flags[s, HALTED] = 0
+
+    return SimpleNamespace(centres=centres, stretch=stretch, starts=starts, drift=drift, clear_stale=clear_stale)

@@ -1,0 +1,63 @@
+"""How many steps are launched before the host looks at a batch again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels.common.control import ESTIMATED, GOAL, HALTED, STEPS
+from ..kernels.dem.clock import CLOSE
+from ..kernels.dem.structs import DT, TIME
+
+LAUNCH = {"cpu": 64, "cuda": 512}
+"""Steps from one look at Ctrl-C to the next, at most."""
+BATCH_LAUNCH = 40
+"""Steps in flight before scenes that halted are looked after, where there are several."""
+NEVER = 2**31 - 1
+"""A count of steps that no scene gets to."""
+
+
+class Ahead:
+    """Nothing hangs on these numbers but time: scenes halt where they must, and what is in flight passes them by."""
+
+    def __init__(self, parallel: bool, scenes: int) -> None:
+        self.parallel, self.scenes = parallel, scenes
+        self._since_build = 0
+        self._between_builds = 64
+
+    def stepped(self, count: int) -> None:
+        """The first scene has completed so many steps."""
+        self._since_build += count
+
+    def built(self) -> None:
+        """Lists are new."""
+        self._between_builds = max(self._since_build, 8)
+        self._since_build = 0
+
+    def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
+        """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it.
+
+        `flags`, `clock` and `rows` are those of all scenes.
+        """
+        running = flags[:, int(HALTED)] == 0
+        if not running.any():
+            return []
+        with np.errstate(all="ignore"):
+            by_time = np.ceil((rows["until"] - clock[:, int(TIME)]) / clock[:, int(DT)] - CLOSE)
+        left = np.fmin(by_time, (flags[:, int(GOAL)] - flags[:, int(STEPS)]).astype(float))
+        count = int(np.clip(left[running].max(), 1, LAUNCH["cuda" if self.parallel else "cpu"]))
+        interval = rows["interval"].astype(np.int64)
+        estimate = max(1, int((flags[:, int(ESTIMATED)] + interval - flags[:, int(STEPS)])[running].min()))
+        if not self.parallel:
+            return [min(count, estimate)]
+        piece = int(interval.min())
+        if self.scenes > 1:
+            # Scenes that had to wait for their lists come to their estimates between those of the others.
+            count = min(count, BATCH_LAUNCH)
+            estimate = piece = max(piece // 2, 1)
+        else:
+            # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
+            expected = self._between_builds - self._since_build
+            count = min(count, expected if expected > 0 else max(16, self._since_build // 4))
+        first = min(count, estimate)
+        whole, rest = divmod(count - first, piece)
+        return [first, *[piece] * whole, *([rest] if rest else [])]
