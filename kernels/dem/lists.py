@@ -15,7 +15,7 @@ from .pairs import ALL_TOUCHED, decode
 from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
-SAMPLED = wp.constant(64)
+SAMPLED = wp.constant(16)
 """Spheres of a part of a scene whose velocities are added up, about."""
 
 

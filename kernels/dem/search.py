@@ -52,6 +52,23 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
     other[k] = entry
 
 
+@wp.func
+def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
+    """Put a long row in order: Shell's sort, with gaps of Knuth's."""
+    gap = wp.int32(1)
+    while gap < (end - begin) / 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for k in range(begin + gap, end):
+            entry = other[k]
+            at = wp.int32(k)
+            while at - gap >= begin and other[wp.max(at - gap, 0)] > entry:
+                other[at] = other[at - gap]
+                at = at - gap
+            other[at] = entry
+        gap = gap / 3
+
+
 @functools.cache
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded` and `belongs`."""
@@ -201,7 +218,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
 
     The first finds and counts the neighbours of each sphere (`count` is zero before), and keeps those for which there
     is room in `finds`; when it is known where rows begin, the second puts them there in order. Where there are few
-    spheres each has eight `lanes`, threads beside one another, each of which searches one octant around it.
+    spheres each has eight `lanes`, threads beside one another, each of which searches one octant around it. The last
+    of `total` is to be the longest row for which there was no room.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -240,6 +258,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         # written
         count: wp.array(dtype=wp.int32),
         finds: wp.array2d(dtype=wp.int32),
+        total: wp.array(dtype=wp.int32),
     ):
         i = wp.tid() / lanes
         lane = wp.tid() % lanes
@@ -262,6 +281,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                 found = wp.atomic_add(count, i + seeker.s, 1)
                 if found < finds.shape[0]:
                     finds[found, i] = j - seeker.base
+                else:
+                    wp.atomic_max(total, total.shape[0] - 1, found + 1)
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
@@ -293,7 +314,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                     before += wp.where(finds[m, i] < entry, 1, 0)
                 pairs.other[row + before] = entry
         elif wp.tid() % lanes == 0:
-            # Rare: a sphere among so many others is searched for once more.
+            # A sphere among so many others is searched for once more.
             seeker = beginning(scenes, spheres, stretched, i)
             middle = seeker.x + shift[s]
             found = wp.int32(0)
@@ -302,7 +323,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
             while wp.hash_grid_query_next(query, j):
                 position_j = read_vec4(spheres.position, j)
                 if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                    insert(pairs.other, row, found, j - seeker.base)
+                    pairs.other[row + found] = j - seeker.base
                     found += 1
+            sort_row(pairs.other, row, row + total)
 
     return search, fill

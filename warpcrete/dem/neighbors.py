@@ -26,8 +26,10 @@ from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 DRIFT_LANES = 64
 OCTANTS = 8
 """Threads of a GPU that search for the neighbours of a sphere, and fill its row, where there are few."""
-KEPT = 64
-"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice."""
+KEPT = 32
+"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice, the first time."""
+MOST_KEPT = 128
+"""As many as that, where there are spheres that have more."""
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
     "spheres": ("scene", "body", "force", "moment"),
@@ -87,7 +89,8 @@ class NeighborLists:
         self._searchers = OCTANTS if batch.parallel and n < MANY * scenes else 1
         self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
         self._boxes = zeros((batch.threads, 2), t.vec3)
-        self._total, self._face_total = zeros(scenes), zeros(scenes)
+        # The last is the longest row that could not be kept.
+        self._total, self._face_total = zeros(scenes + 1), zeros(scenes + 1)
         self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = zeros(n), zeros(n)
         self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
@@ -130,8 +133,9 @@ class NeighborLists:
             launches = self._search(sort)
         else:
             self._count.zero_()
+            self._total.zero_()
             b.in_parts(launches.search)
-        wanted = self._starts(launches.starts, self._total, "neighbour list", "pairs")
+        wanted, longest = self._starts(launches.starts, self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
             self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
@@ -139,11 +143,16 @@ class NeighborLists:
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
         b.in_parts(launches.fill)
+        if len(self._finds) < min(longest, MOST_KEPT):
+            self._finds = wp.empty(
+                (min(longest + longest // 4, MOST_KEPT), b.sphere_count), dtype=wp.int32, device=b.device
+            )
+            self._version = -1  # from the next build on
         b.in_parts(launches.transfer)
         self._link(launches)
         if b.features.meshes:
             launches.faces[0]()
-            wanted = self._starts(launches.faces[1], self._face_total, "mesh candidates", "faces")
+            wanted, _ = self._starts(launches.faces[1], self._face_total, "mesh candidates", "faces")
             if np.any(wanted > b.face_capacity):
                 b.reserve_faces(wanted)
                 launches = self._launches(sort)
@@ -270,7 +279,7 @@ class NeighborLists:
         else:
             kernels = full_search_kernels(b.scalar, f.bonds, self._searchers)
             finds = {"count": self._count, "finds": self._finds, **cells, **before}
-            search = [b.stage(kernels[0], n * self._searchers, **finds)]
+            search = [b.stage(kernels[0], n * self._searchers, total=self._total, **finds)]
             fill = [b.stage(kernels[1], n * self._searchers, **finds)]
 
         def starts(start: wp.array, total: wp.array) -> Stage:
@@ -311,14 +320,15 @@ class NeighborLists:
             ]
         return launches
 
-    def _starts(self, place: Stage, total: wp.array, what: str, entries: str) -> np.ndarray:
-        """Scan the counts into row starts; returns how many entries each scene now has."""
+    def _starts(self, place: Stage, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
+        """Scan the counts into row starts; returns how many entries each scene now has, and the last of `total`."""
         wp.utils.array_scan(self._count, self._scanned, inclusive=False)
         place()
-        wanted = total.numpy().astype(np.int64)
+        found = total.numpy().astype(np.int64)
+        wanted, longest = found[:-1], int(found[-1])
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
             raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")
-        return wanted
+        return wanted, longest
 
     def _sort(self, due: np.ndarray) -> None:
         """Re-order bodies along a space-filling curve; notes the old place of each new sphere and the reverse."""
