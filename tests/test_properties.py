@@ -78,6 +78,19 @@ def test_the_pipe_scene_is_made_or_refused(name, value):
     assert isinstance(scene, Scene) and scene.duration > 0
 
 
+@pytest.mark.parametrize("name", ["diameter", "plug_ball", "velocity", "plug_layers"])
+@pytest.mark.parametrize("others", [{}, {"plug": "plate"}, {"unit": "bend-to-vertical"}], ids=str)
+def test_numbers_whose_squares_are_beyond_a_float(name, others):
+    for value in (1e155, 1e308, 5e-324):
+        try:
+            assert isinstance(scenes.pipe(**{name: value}, **others), Scene)
+        except WarpcreteError:
+            continue
+    if name not in ("plug_ball", "plug_layers") or "plug" not in others:
+        with pytest.raises(WarpcreteError, match=f"^{name} = a number of 1329 bits"):
+            scenes.pipe(**{name: 10**400}, **others)
+
+
 @st.composite
 def small_scenes(draw):
     """A few bodies in a box that may move, with any law, and speeds that do not tear it apart."""

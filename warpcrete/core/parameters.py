@@ -205,9 +205,18 @@ class SceneFunction(Generic[P, S]):
             if name not in known:
                 refuse("parameters", sorted(given), f"got an unexpected keyword argument {name!r}",
                        f"known are {', '.join(known)}")  # fmt: skip
-        parameters = self.parameters(**values)
-        parameters.check_needed()
-        return self._build(parameters)
+        try:
+            parameters = self.parameters(**values)
+            parameters.check_needed()
+            return self._build(parameters)
+        except OverflowError as error:
+            numbers = {name: value for name, value in values.items() if isinstance(value, (int, float)) and value}
+            if not numbers:
+                raise
+            name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
+            value = numbers[name]
+            text = repr(value) if isinstance(value, float) else f"a number of {value.bit_length()} bits"
+            raise SceneError(f"{name} = {text}: is beyond what can be computed with; use SI units") from error
 
     def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters by their own names, without those that mean nothing beside the others."""
