@@ -288,6 +288,7 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
     return len(reached)
 
 
+@pytest.mark.thorough
 def test_killed_runs_resume_to_the_same_bits(tmp_path):
     killed_again_and_again(tmp_path, KILLS, 0.06)
 
@@ -297,6 +298,7 @@ def test_twenty_kills_corrupt_nothing(tmp_path):
     assert killed_again_and_again(tmp_path, 20, 0.5) == 20
 
 
+@pytest.mark.thorough
 def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     done = command("run", "--resume", tmp_path / "none")
     assert done.returncode == 2 and "is no run folder" in done.stderr

@@ -21,6 +21,8 @@ from warpcrete.studies.cluster import LOCAL, check_scheduler, slurm_cluster
 from warpcrete.studies.running import kept, run_cases, run_on_gpu
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
+pytestmark = pytest.mark.thorough
+
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")  # the package gives the scene function that name
 LONG = BASE | dict(travel=0.3, sample_interval=0.005)
 

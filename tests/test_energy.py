@@ -10,6 +10,7 @@ from warpcrete.dem.scene import Bodies, Scene, Settle
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "case",
     [

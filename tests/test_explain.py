@@ -34,6 +34,7 @@ OTHERS = {"vertical": {}, "bend": dict(unit="D", elbow_radius=0.3),
           "clumps": dict(shapes="reference", precision="float64")}  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("changes", OTHERS.values(), ids=OTHERS)
 def test_what_is_foretold_of_elements_is_what_a_run_has(device, changes):
     """Measured with one seed each: spheres 0.98 to 0.99, step 0.92 to 1.05, memory 0.97 to 0.98 of the run's on a CPU;
@@ -67,6 +68,7 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
     assert explain(scenes.channel(duration=0.05), device=device, cache=False).forecast.steps == 100
 
 
+@pytest.mark.thorough
 def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
     rounds = explain(scene, device=device, threads=1, cache=False).forecast
@@ -191,6 +193,7 @@ def test_a_pipe_too_long_for_the_copy_counts_by_its_length(monkeypatch):
     assert part.total_memory == pytest.approx(whole.total_memory, rel=0.2)
 
 
+@pytest.mark.thorough
 def test_the_command(tmp_path):
     done = command("explain", "channel", "--spacing", "0.02", "--device", "cpu", "--threads", "1")
     assert done.returncode == 0 and not done.stderr

@@ -88,6 +88,7 @@ main()
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "series.csv"), (60_000, "run.rrd"), (60_000, "scene.usdc")])
 def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
     """Files that may not grow stand for a disk that is full; what is on disk by then stays."""
@@ -135,6 +136,7 @@ def tube_of(path, stations, radii, shift=lambda z: 0.0):
     return path
 
 
+@pytest.mark.thorough
 def test_a_reducer_is_packed_inside_its_own_wall(tmp_path):
     """150 to 140 mm: a cylinder of the wanted diameter would stand out of it."""
     z = np.linspace(-0.05, 0.6, 14)

@@ -13,6 +13,7 @@ CORNERS = [case for case in CASES if case[0].startswith("corner")]
 SLOW = ("3D: no slip for 1 s", "3D: a concrete that shears, for 1 s", "3D: spacing of 20 across", "2D: aggregate 0.6")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "case",
     [pytest.param(c, id=c[0], marks=pytest.mark.slow) if c[0] in SLOW else pytest.param(c, id=c[0]) for c in SINGLES],
@@ -31,6 +32,7 @@ def test_extreme_flow_in_double_precision(device, case):
     assert found.acceptable, found
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_corners_of_flows_stay_within_bounds_or_stop(device, precision):
     found = [flow_extremes.outcome(name, make, device, precision, steps) for name, make, steps in CORNERS]

@@ -69,6 +69,7 @@ def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
     assert one == two
 
 
+@pytest.mark.thorough
 def test_an_interrupted_flow_goes_on(tmp_path):
     out, whole = tmp_path / "cut", tmp_path / "whole"
     options = ["run", "channel", "--spacing", "5e-3", "--duration", "0.15", "--checkpoint-every", "0.01", "--device",

@@ -38,6 +38,8 @@ from warpcrete.mps.grid import flow as grid_flow
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.state import FluidState
 
+pytestmark = pytest.mark.thorough
+
 SMALL = dict(
     length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
 )

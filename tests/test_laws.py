@@ -53,6 +53,7 @@ class Toy(ContactLaw):
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
 
 
+@pytest.mark.thorough
 @PRECISIONS
 def test_a_new_law_is_one_class(start, precision):
     # A constant push of F parts two spheres from rest at F/m each, whatever the overlap, and gives them F d.

@@ -54,6 +54,7 @@ def test_an_upright_pipe_bears_its_weight_besides(device):
     assert number(upright["pressure"]) - number(level["pressure"]) == pytest.approx(weight, rel=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit", ["bend-to-vertical", "bend-level"])
 def test_a_bend_loses_a_little_more_than_a_straight_pipe(device, unit):
     found = run(device, unit=unit, **OWN)
@@ -71,6 +72,7 @@ def test_a_bend_of_any_angle_lets_out_what_comes_in(device):
     assert abs(result["outflow_error"]) < 1e-3 and abs(off(result, "upstream")) < 0.02
 
 
+@pytest.mark.thorough
 def test_a_reducer_from_a_mesh_is_one_by_formula(device, tmp_path):
     """A cone between two pipes, once known to the grid, once from an STL file in millimetres."""
     axis, facets = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),)), 96
@@ -277,6 +279,7 @@ def side_by_side(request, device):
 SMALL = OWN | SHORT | {"unit": "horizontal", "spacing": 0.0165, "time_step": 0.02}
 
 
+@pytest.mark.thorough
 def test_runs_abreast_do_what_they_do_alone(side_by_side):
     """Of different length and size, one of which fails; on a GPU each goes on a stream of its own."""
     wanted = [scenes.part(**SMALL | {"flow": flow, "duration": 0.04}) for flow in (1e-3, 2e-3)] + [
@@ -305,6 +308,7 @@ def test_runs_abreast_do_what_they_do_alone(side_by_side):
     assert sum(isinstance(outcome, Exception) for outcome in together) == 1
 
 
+@pytest.mark.thorough
 def test_what_befalls_one_run_abreast_harms_no_other(device):
     """No room for a while, a graph that fails, a wish to stop, an interruption amid it all."""
     scene = scenes.part(**SMALL | {"duration": 0.04})

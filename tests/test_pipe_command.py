@@ -59,6 +59,7 @@ def test_run_folder_is_complete(recorded):
     assert "check" in done.stdout and "FAIL" not in done.stdout
 
 
+@pytest.mark.thorough
 def test_scene_json_repeats_the_run(recorded, tmp_path):
     folder, _ = recorded
     again = tmp_path / "again"
@@ -290,6 +291,7 @@ def test_live_recording_reaches_a_running_viewer(tmp_path):
         assert np.array(live) == pytest.approx(np.array(recorded))
 
 
+@pytest.mark.thorough
 def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
     folder = tmp_path / "run"
     url = f"rerun+http://127.0.0.1:{free_port()}/proxy"

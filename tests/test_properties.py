@@ -137,6 +137,7 @@ def small_scenes(draw):
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 @RUNS
 @given(scene=small_scenes())
 def test_small_random_scenes_run_or_stop_with_our_own_error(scene):

@@ -206,6 +206,7 @@ DRAWN = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DRAWN)
 def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypatch):
     """Every display takes all that it draws of a moment: a recorder that lags shows the same."""

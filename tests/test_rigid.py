@@ -52,6 +52,7 @@ def viscous_stages(flow):
     return part
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_solve_finds_the_best_of_all_rigid_motions(device, dimensions, monkeypatch):
     """Against the same equations, dense, in the coordinates of grains' velocities and spins."""

@@ -33,6 +33,7 @@ def test_cases_are_all_combinations_or_one_parameter_at_a_time():
         cases_of({}, {"velocity": [0.1]}, repeat=0)
 
 
+@pytest.mark.thorough
 def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
     out = tmp_path / "study"
     study = run_study(
@@ -61,6 +62,7 @@ def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
         assert same == (other.name != case.name)
 
 
+@pytest.mark.thorough
 def test_a_failing_case_is_reported_and_kept(device, tmp_path):
     out = tmp_path / "study"
     study = run_study(
@@ -85,6 +87,7 @@ def test_bad_studies_write_nothing(tmp_path):
     shutil.rmtree(out)
 
 
+@pytest.mark.thorough
 def test_the_study_command(tmp_path):
     out = tmp_path / "study"
     options = [w for name, value in BASE.items() for w in (f"--{name.replace('_', '-')}", str(value))]
@@ -134,6 +137,7 @@ def test_a_parameter_is_held_or_varied_by_whichever_name(tmp_path):
     assert cases_of({}, {"velocity": [0.1]}, seeded=False)[0].parameters == {"velocity": 0.1}
 
 
+@pytest.mark.thorough
 def test_a_case_that_was_cut_before_its_checks_is_run_again(tmp_path):
     """Its result is whole, but nobody has said that it may be trusted."""
     out = tmp_path / "study"

@@ -77,6 +77,7 @@ def plain():
     return found
 
 
+@pytest.mark.thorough
 def test_a_pumping_run_in_rounds_is_that_of_single_steps(plain):
     (single, _), (rounds, simulation) = plain[1], plain[None]
     assert simulation.stepper.batch.subcycles.rounds > 5
@@ -216,6 +217,7 @@ def test_a_broken_pair_is_a_contact_as_all_others(device):
         assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("modulus", [1e6, 1e8, 1e10, 1e12])
 def test_any_stiffness_is_stable(device, modulus):
     """A block under its own turning: the energy does not grow, in single precision."""

@@ -151,6 +151,7 @@ def test_senseless_numbers_of_threads_are_refused():
             Simulation(scenes.pipe(**SMALL), device="cpu", threads=threads)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["elements", "flow", "two phases"])
 def test_one_thread_that_does_the_work_of_all_computes_the_same(kind, monkeypatch):
     """While other processes want the cores; to the bit, whenever it begins and ends."""

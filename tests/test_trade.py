@@ -88,6 +88,7 @@ def _flow_trade(out):
                      knobs=["time step", "regularisation"])  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
     trade = flow_trade
     assert trade.exact and trade.reference is None and not trade.has_seeds
@@ -140,6 +141,7 @@ def element_trade(request, tmp_path_factory):
     return out
 
 
+@pytest.mark.thorough
 def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_trade, tmp_path):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
@@ -221,6 +223,7 @@ def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_
         resume_trade(tmp_path, channel)
 
 
+@pytest.mark.thorough
 def test_the_command(tmp_path):
     done = command("trade", "channel", "--spacing", "0.02", "--knob", "tolerance", "--budget", "60s", "--quiet",
                    "--threads", "1", "--device", "cpu", "--out", tmp_path / "t")  # fmt: skip
@@ -318,6 +321,7 @@ def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, mon
     assert cheapest.failure and all(p.point is not None and p.point is not cheapest for p in trade.promises)
 
 
+@pytest.mark.thorough
 def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     folder = flow_trade.folder
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")

@@ -32,6 +32,8 @@ from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import Trade
 from warpcrete.studies.trials import Trial, run_trial
 
+pytestmark = pytest.mark.thorough
+
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 SETTINGS = {
     "channel": dict(base=COARSE, knobs=["regularisation"]),

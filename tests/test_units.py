@@ -23,6 +23,7 @@ def figures(run: Run) -> tuple[float, float]:
     return run.result["peak_pressure"]["value"], run.result["plateau_pressure"]["value"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("unit", "peak", "end", "scatter"), [("vertical", 5894, 5363, 0.01), ("horizontal", 2135, 1536, 0.02)]
 )

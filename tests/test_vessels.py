@@ -251,6 +251,7 @@ def test_rates_of_shear_in_space_are_those_of_all_pairs(device):
     assert edges == pytest.approx(wanted, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_no_particle_is_within_a_wall(device):
     """Nor does one that starts to flow get there, but by rounding off a bar: behind the gate, around the bars."""
     scene = scenes.lbox(**OWN, bars=3, spacing=0.008, lift_time=0.05, duration=0.16, column_height=0.3, length=0.24,
@@ -296,6 +297,7 @@ def test_a_funnel_whose_sides_slip_empties_sooner(device):
     assert slips["remaining"] < 0.7 * sticks["remaining"]
 
 
+@pytest.mark.thorough
 def test_a_yield_stress_that_bears_the_weight_holds_a_funnel(device):
     scene = scenes.funnel(**OWN | {"yield_stress": 2000.0}, spacing=0.015, duration=3.0, time_step=4e-3)
     run = FreeSimulation(scene, device=device).run()
