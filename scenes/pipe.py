@@ -181,7 +181,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
-    count = layers * math.pi * (radius / ball) ** 2
+    across = radius / ball
+    count = layers * math.pi * across * across  # a power would not be infinite, but an error
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would take {count:.2g} balls to plug the pipe",
                "use larger balls, a plate or none")  # fmt: skip

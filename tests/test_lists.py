@@ -4,6 +4,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+import warp as wp
 from conftest import devices
 
 from warpcrete.core.device import find_device, share_out_like_a_gpu
@@ -14,14 +15,16 @@ from warpcrete.dem.scene import Bodies, Contact, Scene
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import steppers_of
 
-WAYS = [*devices(), "like a GPU"]
+WAYS = [*devices(), "like a GPU", "like a GPU, a thread a sphere"]
 
 
 @pytest.fixture(params=WAYS)
-def way(request):
-    """Device on which to build, with the lists of a GPU on a CPU, too."""
-    with share_out_like_a_gpu() if request.param == "like a GPU" else nullcontext():
-        yield "cpu" if request.param == "like a GPU" else request.param
+def way(request, monkeypatch):
+    """Device on which to build, with the lists of a GPU on a CPU, too: of few spheres, and of many."""
+    if request.param.endswith("a thread a sphere"):
+        monkeypatch.setattr(neighbors, "MANY", 0)
+    with share_out_like_a_gpu() if request.param.startswith("like") else nullcontext():
+        yield "cpu" if request.param.startswith("like") else request.param
 
 
 def cloud(number: int, box, seed: int, sizes=(0.004, 0.02), at=(0.0, 0.0, 0.0)) -> Scene:
@@ -60,7 +63,7 @@ def near(stepper) -> tuple[set, set]:
     sphere = stepper.state.spheres.position.numpy().astype(float)
     i, j = np.triu_indices(len(sphere), 1)
     gap = np.linalg.norm(sphere[i, :3] - sphere[j, :3], axis=1) - sphere[i, 3] - sphere[j, 3]
-    slack = 2e-7  # distances are below a metre, in single precision
+    slack = 2e-7 if stepper.state.model.scalar is wp.float32 else 1e-11  # distances are below a metre
     sure, perhaps = gap < stepper.skin - slack, gap < stepper.skin + slack
     return set(zip(i[sure].tolist(), j[sure].tolist())), set(zip(i[perhaps].tolist(), j[perhaps].tolist()))
 
@@ -88,7 +91,7 @@ def test_all_that_is_near_is_listed_whatever_the_shape(way, box, precision):
 def test_cells_follow_the_shape_of_a_scene(way):
     """A pipe has as many cells along it as it is long, so that no two places share one."""
     (stepper,) = started([cloud(2000, (0.05, 0.05, 2.0), 1)], way)
-    width = 2 * stepper.lists.mean_radius[0] + stepper.skin
+    width = 2 * stepper.state.mean_radius + stepper.skin
     dims = stepper.lists._cells._dims
     assert dims[2] > 2.0 / width and np.all(dims[:2] <= 0.05 / width + 3)
 
@@ -114,23 +117,73 @@ def test_some_that_are_far_away_do_not_need_cells(way):
     together = [pair for pair in found if set(pair) <= set(far.tolist())]
     assert len(far) == 3 and len(together) == 1
     assert {p for p in sure if not set(p) & set(far.tolist())} <= found
+    assert {p for p in found if not set(p) & set(far.tolist())} <= near(stepper)[1]
+
+
+def test_a_scene_far_from_the_origin_has_as_many_cells(way):
+    """A hundred kilometres away, where double precision still holds it."""
+    dims = []
+    for at in ((0.0, 0.0, 0.0), (1e5, -3e4, 2e4)):
+        (stepper,) = started([cloud(2000, (0.1, 0.1, 0.5), 11, at=at)], way, "float64")
+        check(stepper)
+        dims.append(stepper.lists._cells._dims)
+    assert np.abs(dims[0] - dims[1]).max() <= 1 and dims[0].prod() > 100
+
+
+def test_an_empty_scene_takes_no_cells_from_others(way):
+    scenes = [cloud(500, (0.1, 0.1, 0.1), 12), cloud(0, (0.1, 0.1, 0.1), 13), cloud(500, (0.1, 0.1, 0.1), 14)]
+    first, empty, last = started(scenes, way)
+    assert first.lists._cells._dims.prod() > 30
+    check(first)
+    check(last)
+    assert not listed(empty)
+
+
+def test_a_column_that_ends_flat_has_cells_that_fit(way):
+    """Where there are not cells enough for both, those for how it is now; and once they fit they stay."""
+    (stepper,) = started([cloud(3000, (0.05, 0.05, 1.5), 15)], way)
+    stepper.lists.sort_every[0] = 1
+    flat = cloud(3000, (0.8, 0.8, 0.01), 16).bodies[0].positions
+    for array in (stepper.state.spheres.position, stepper.state.bodies.position):
+        values = array.numpy().copy()
+        values[:, :3] = flat
+        array.assign(values)
+    grids = []
+    for _ in range(3):
+        stepper.rebuild()
+        grids.append(stepper.lists._cells.grid.id)
+    width, dims = stepper.lists._cells.width(), stepper.lists._cells._dims
+    assert np.all(np.sort(dims)[1:] > 0.7 / width)
+    assert len(set(grids)) == 1
+    found, (sure, perhaps) = listed(stepper), near(stepper)
+    assert sure <= found <= perhaps and len(sure) > 10
 
 
 @pytest.mark.parametrize("kept", [32, 3])
 def test_a_sphere_among_more_than_a_search_keeps(way, monkeypatch, kept):
     """The largest has a hundred neighbours; with three kept, all rows are searched for twice."""
     monkeypatch.setattr(neighbors, "KEPT", kept)
-    monkeypatch.setattr(neighbors, "MOST_KEPT", 2 * kept)
     small = cloud(1500, (0.1, 0.1, 0.1), 4, sizes=(0.004, 0.006))
     large = Bodies(positions=np.array([[0.05, 0.05, 0.05]]), sizes=0.06)
     (stepper,) = started([Scene(name="one", duration=1.0, contact=small.contact, bodies=(*small.bodies, large))], way)
     check(stepper)
     neighbours = np.bincount(np.array(list(listed(stepper))).ravel())
     assert neighbours.max() > 64
-    if not stepper.state.model.features.half_list:
-        assert len(stepper.lists._finds) == 2 * kept
     stepper.rebuild()
     check(stepper)
+
+
+def test_there_is_room_for_the_longest_rows_but_not_at_any_price(way, monkeypatch):
+    """A buffer grows when that spares every second search, and not for a sphere that would need one still."""
+    monkeypatch.setattr(neighbors, "KEPT", 8)
+    (stepper,) = started([cloud(500, (0.1, 0.1, 0.1), 1, sizes=(0.009, 0.013))], way)
+    longest = np.bincount(np.array(list(listed(stepper))).ravel()).max()
+    assert 8 < longest <= neighbors.MOST_KEPT
+    monkeypatch.setattr(neighbors, "MOST_KEPT", 8)
+    (without,) = started([cloud(500, (0.1, 0.1, 0.1), 1, sizes=(0.009, 0.013))], way)
+    assert listed(without) == listed(stepper)
+    if not stepper.state.model.features.half_list:
+        assert (len(stepper.lists._finds), len(without.lists._finds)) == (64, 8)
 
 
 def test_scenes_of_a_batch_have_their_own_neighbours_only(way):
@@ -168,11 +221,11 @@ def test_what_spreads_gets_more_cells(way):
 
 
 def test_a_state_that_is_no_number_does_not_stop_the_cells(way):
-    (stepper,) = started([cloud(50, (0.1, 0.1, 0.1), 10)], way)
+    (stepper,) = started([cloud(500, (0.1, 0.1, 0.1), 10)], way)
     position = stepper.state.spheres.position.numpy().copy()
-    position[:25, 0] = np.nan
+    position[:250, 0] = np.nan
     stepper.state.spheres.position.assign(position)
     stepper.lists.sort_every[0] = 1
     stepper.rebuild()
-    sure = near(stepper)[0]
-    assert sure <= listed(stepper)
+    found, (sure, perhaps) = listed(stepper), near(stepper)
+    assert sure <= found <= perhaps and len(sure) > 10  # no pair of what is nowhere

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-HALTED = wp.constant(0)  # every kernel passes the scene by: its lists are stale, its goal is reached, or it failed
+HALTED = wp.constant(0)  # every kernel of a step passes the scene by; why stands below
 STALE = wp.constant(1)  # the neighbour lists no longer cover every pair that may matter
 FAILED = wp.constant(2)  # the state left the range in which it means anything; what exactly is the method's to say
 STEPS = wp.constant(3)  # completed steps

@@ -2,8 +2,9 @@
 
 Lists hold every pair at both spheres; a *link* is a pair once. A warp looks at some links for each of its threads,
 and shares out those that touch, so that all its threads work on contacts together: most links of a list do not touch.
-What a link gives stands at both entries of its pair; a second kernel adds up the rows of each sphere in the order of
-the list, so forces need no atomic and bits depend on no order of threads. Planes and pipes have a kernel of their own,
+What a link gives stands at both entries of its pair, and is added up for each sphere in the order of the list, by the
+kernel that moves plain spheres, or by one of its own where they are clumps' (a clump's spheres are too few threads):
+forces need no atomic, and bits depend on no order of threads. Planes and pipes have a kernel of their own,
 a thread a sphere, which runs beside those two.
 """
 
@@ -353,7 +354,7 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
 
 @functools.cache
 def gather_kernel(scalar, dissipation: bool):
-    """Kernel over the spheres of full lists: force [N] and moment [N m] of each by its links."""
+    """Kernel over the spheres of clumps in full lists: force [N] and moment [N m] of each by its links."""
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
     Links = links_struct(scalar)

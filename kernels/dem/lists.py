@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import FAILED, HALTED, STALE
+from ..common.control import ARRIVED, FAILED, HALTED, STALE
 from ..common.types import SPAN, types, vector_functions
 from .clock import arrived_function
 from .pairs import ALL_TOUCHED, decode
@@ -185,7 +185,7 @@ def list_kernels(scalar):
             walls.moved[w] = wp.float64(0.0)
         scenes.clock[s, SINCE_BUILD] = wp.float64(0.0)
         flags[s, STALE] = 0
-        if flags[s, FAILED] == 0 and not arrived(flags, scenes, s):
-            flags[s, HALTED] = 0
+        if flags[s, FAILED] == 0:
+            flags[s, HALTED] = wp.where(arrived(flags, scenes, s), ARRIVED, 0)
 
     return SimpleNamespace(centres=centres, stretch=stretch, starts=starts, drift=drift, clear_stale=clear_stale)

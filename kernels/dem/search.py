@@ -78,7 +78,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     find = find_function(scalar, half)
     xyz = vector_functions(scalar).xyz
     read_vec4 = row_functions(scalar).read_vec4
-    rounding = 4.0e-7 if scalar is wp.float32 else 4.0e-16
+    rounding = 8.0e-7 if scalar is wp.float32 else 1.6e-15
 
     @wp.struct
     class Seeker:
@@ -323,8 +323,9 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
             while wp.hash_grid_query_next(query, j):
                 position_j = read_vec4(spheres.position, j)
                 if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                    pairs.other[row + found] = j - seeker.base
-                    found += 1
-            sort_row(pairs.other, row, row + total)
+                    if found < total:
+                        pairs.other[row + found] = j - seeker.base
+                        found += 1
+            sort_row(pairs.other, row, row + found)
 
     return search, fill

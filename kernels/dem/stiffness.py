@@ -29,7 +29,7 @@ def estimate_struct(scalar):
 
 @functools.cache
 def stiffness_functions(scalar):
-    """`outer`, `turning` and `stable`: matrices of one contact, and the step that they allow.
+    """`outer` and `turning`, matrices of one contact; `full`, `row_sum` and `stable`, what they allow of a step.
 
     Matrices are symmetric, and stand as xx, yy, zz, yz, xz, xy until they are `full`: a thread of a GPU has four sums.
     """

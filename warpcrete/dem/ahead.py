@@ -12,6 +12,11 @@ LAUNCH = {"cpu": 64, "cuda": 512}
 """Steps from one look at Ctrl-C to the next, at most."""
 BATCH_LAUNCH = 40
 """Steps in flight before scenes that halted are looked after, where there are several."""
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
+"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing, but threads lose each
+other between two."""
+OLD = 256
+"""Steps after which threads have larger graphs captured: chunks may change before."""
 NEVER = 2**31 - 1
 """A count of steps that no scene gets to."""
 
@@ -23,10 +28,21 @@ class Ahead:
         self.parallel, self.scenes = parallel, scenes
         self._since_build = 0
         self._between_builds = 64
+        self._since_captured = 0
 
-    def stepped(self, count: int) -> None:
-        """The first scene has completed so many steps."""
+    def stepped(self, count: int, launched: int) -> None:
+        """The first scene has completed so many steps of those that were launched."""
         self._since_build += count
+        self._since_captured += launched
+
+    def captured(self) -> None:
+        """Graphs are made anew."""
+        self._since_captured = 0
+
+    def largest_graph(self, threads: int, rounds: int) -> int:
+        """Steps of one graph, if each has so many rounds for stiff bonds."""
+        kind = "cuda" if self.parallel else "threads" if threads > 1 and self._since_captured > OLD else "cpu"
+        return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
 
     def built(self) -> None:
         """Lists are new."""
@@ -45,15 +61,15 @@ class Ahead:
             by_time = np.ceil((rows["until"] - clock[:, int(TIME)]) / clock[:, int(DT)] - CLOSE)
         left = np.fmin(by_time, (flags[:, int(GOAL)] - flags[:, int(STEPS)]).astype(float))
         count = int(np.clip(left[running].max(), 1, LAUNCH["cuda" if self.parallel else "cpu"]))
-        interval = rows["interval"].astype(np.int64)
-        estimate = max(1, int((flags[:, int(ESTIMATED)] + interval - flags[:, int(STEPS)])[running].min()))
+        interval = rows["interval"].astype(np.int64)[running]
+        estimates = np.maximum(interval - (flags[:, int(STEPS)] - flags[:, int(ESTIMATED)])[running], 1)
         if not self.parallel:
-            return [min(count, estimate)]
-        piece = int(interval.min())
+            return [min(count, int(estimates.max()))]
+        estimate, piece = int(estimates.min()), int(interval.min())
         if self.scenes > 1:
             # Scenes that had to wait for their lists come to their estimates between those of the others.
             count = min(count, BATCH_LAUNCH)
-            estimate = piece = max(piece // 2, 1)
+            estimate = piece = 1 << max(piece // 2, 1).bit_length() - 1
         else:
             # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
             expected = self._between_builds - self._since_build

@@ -32,11 +32,6 @@ from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .subcycling import Subcycles
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
-"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing, but threads lose each
-other between two."""
-OLD = 256
-"""Steps after which threads have larger graphs captured: chunks may change before."""
 PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
 thirds to the whole of one's time at a thousand spheres, one and a quarter to twice it at half as many."""
@@ -99,7 +94,7 @@ class Batch:
             refuse("batch", len(models), "scenes of a batch must need the same features")
         self.models, self.states = models, states
         for s, state in enumerate(states):
-            state.batch, state.index = self, s
+            state.taken_into(self, s)
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
         self.parallel = parallel(self.device)
         self.count = len(models)
@@ -128,13 +123,12 @@ class Batch:
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
         """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
-        self._since_captured = 0
-        self._ahead = Ahead(self.parallel, self.count)
+        self.ahead = Ahead(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
         self._walls: np.ndarray | None = None
         self._wall_reading: Stage | None = None
-        self._unsent = False
+        self._unsent = self._row_unsent = False
         self._step: list[list[Any]] | None = None
         self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
@@ -338,7 +332,7 @@ class Batch:
     def invalidate_graphs(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""
         self._launcher.invalidate_graphs()
-        self._since_captured = 0
+        self.ahead.captured()
         self.version += 1
         self._step = None
         self._sync = None
@@ -356,9 +350,13 @@ class Batch:
         """The stages are those of the arrays and chunks as they are now."""
         return self._step is not None
 
-    def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf) -> None:
-        """Let a scene go on until it has completed so many steps, or has got to a time [s]; it is at neither yet."""
-        self.set(s, until=until)
+    def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
+        """Let a scene go on until it has completed so many steps, or has got to a time [s], with an estimate of the
+        stable step every `interval` steps; it is at neither yet."""
+        goal = until, min(interval, NEVER)
+        if goal != (self.rows["until"][s], self.rows["interval"][s]):
+            self.rows["until"][s], self.rows["interval"][s] = goal
+            self._row_unsent = True
         row = self.host_flags()[s]
         row[int(GOAL)] = steps
         row[int(HALTED)] = int(WAITS) if row[int(STALE)] != 0 or row[int(FAILED)] != 0 else 0
@@ -402,41 +400,39 @@ class Batch:
 
     def device_changed(self) -> None:
         """Flags or clocks on the device are, or are about to become, others than those read last."""
+        if self._row_unsent:
+            self.scenes.row.assign(self.rows)
         if self.parallel:
             if self._unsent:
                 self.flags.assign(self._flags)
             self._flags = self._clock = None
         self._walls = None
-        self._unsent = False
+        self._unsent = self._row_unsent = False
 
     def launch(self) -> np.ndarray:
         """Launch steps until some scene needs looking after; returns a copy of all flags."""
-        assert self._step is not None
         before = int(self.host_flags()[0, int(STEPS)])
-        pieces = self._ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
+        pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         self.device_changed()
-        kind = "cuda" if self.parallel else "threads" if self.threads > 1 and self._since_captured > OLD else "cpu"
-        largest = max(1, LARGEST_GRAPH[kind] // (1 + self.subcycles.rounds // 4))  # graphs of as many launches
+        largest = self.ahead.largest_graph(self.threads, self.subcycles.rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
-        for count in pieces:
-            sizes = graph_sizes(count, largest)
-            self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
-            if self._between is not None:
-                self._between()
-        for stage in self.sync_stages():
-            stage()
+        assert self._step is not None
+        try:
+            for count in pieces:
+                sizes = graph_sizes(count, largest)
+                self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
+                if self._between is not None:
+                    self._between()
+        finally:  # an interruption leaves bodies where their spheres are
+            for stage in self.sync_stages():
+                stage()
         flags = self.host_flags().copy()
-        self._ahead.stepped(int(flags[0, int(STEPS)]) - before)
-        self._since_captured += sum(pieces)
+        self.ahead.stepped(int(flags[0, int(STEPS)]) - before, sum(pieces))
         return flags
 
     def _alone(self) -> Step:
         assert self._step is not None
         return by_one_thread(self._step)
-
-    def lists_built(self) -> None:
-        """Lists are new."""
-        self._ahead.built()
 
     def in_parts(self, stages: list[Stage]) -> None:
         """Launch stages that chunks have apart, each on a thread of its own."""
@@ -444,6 +440,7 @@ class Batch:
 
     def sync_stages(self) -> list[Stage]:
         """What brings bodies up to date with their spheres, where every body is one: steps do not."""
-        if self._sync is None and self.sphere_count and not self.features.clumps:
-            self._sync = self.stage(sync_kernel(self.scalar), self.sphere_count)
-        return [] if self._sync is None else [self._sync]
+        if self.features.clumps or not self.sphere_count:
+            return []
+        self._sync = self._sync or self.stage(sync_kernel(self.scalar), self.sphere_count)
+        return [self._sync]

@@ -10,7 +10,9 @@ import warp as wp
 from ..kernels.common.types import types
 
 LOOKED_AT = 4_000
-"""Spheres of a batch that tell how far its scenes reach, about."""
+"""Spheres of a scene that tell how far it reaches, about."""
+FARTHEST = 1e6
+"""Widths of a cell from the middle of a scene from which on it does not matter how far a sphere is."""
 AMONG = 0.1
 """Percent of a scene's spheres at either end of each axis that may lie beyond its cells."""
 CELLS = 8
@@ -33,7 +35,11 @@ class Cells:
     def __init__(self, batch: Any) -> None:
         self.batch = batch
         self.shift = wp.zeros(batch.count, dtype=types(batch.scalar).vec3, device=batch.device)
-        self.fitted = False
+        self._bounds = np.zeros((batch.count, 2, 3))
+        self._fitted = np.zeros(batch.count, dtype=bool)
+        self._full = np.array([state.sphere_count > 0 for state in batch.states])
+        self._mean_radius = np.array([state.mean_radius for state in batch.states])
+        """Of a scene's spheres at full size [m]."""
         self._dims = np.ones(3, dtype=int)
         self._make()
 
@@ -41,39 +47,51 @@ class Cells:
         dims = [int(d) for d in self._dims]
         self.grid = wp.HashGrid(*dims, device=self.batch.device, dtype=self.batch.scalar)
 
-    def fit(self, width: float) -> bool:
-        """Lay out cells of a `width` [m] for the spheres as they are now; returns whether the grid is another one."""
+    def width(self) -> float:
+        """Of a cell [m]: for the many small spheres; the few large ones look through more of them."""
         b = self.batch
-        position = b.spheres.position.numpy()
-        sizes = np.ones((b.count, 3), dtype=int)
-        low = np.zeros((b.count, 3), dtype=int)
-        stride = max(1, b.sphere_count // LOOKED_AT)
-        for s in range(b.count):
-            first = int(b.rows["spheres"][s])
-            places = position[first : first + int(b.rows["sphere_count"][s]) : stride, :3].astype(float)
-            places = places[np.all(np.abs(places) < 1e6 * width, axis=1)]
-            if len(places):
-                low[s], high = np.floor(np.percentile(places, [AMONG, 100 - AMONG], axis=0) / width).astype(int)
-                sizes[s] = high - low[s] + 2  # one between it and the next scene's
+        scale = b.scenes.scale.numpy() if b.features.growth else 1.0
+        return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
+
+    def fit(self, width: float, due: np.ndarray) -> None:
+        """Lay out cells of a `width` [m] for the spheres of scenes that are `due` as they are now."""
+        due = (due | ~self._fitted) & self._full
+        if not due.any():
+            return
+        for s in np.flatnonzero(due):
+            self._bounds[s] = self._reach(s, width)
+        self._fitted |= due
+        low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
+        sizes = high - low + 2  # one between it and the next scene's
         axis = int(np.argmin(sizes.max(0)))
-        place = -low
-        place[:, axis] += np.concatenate([[0], np.cumsum(sizes[:-1, axis])])
-        if b.count > 1:
-            self.shift.assign((place * width).astype(np.float64))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()
-        most = min(max(CELLS * b.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if b.parallel else "cpu"])
+        if self.batch.count > 1:
+            low[:, axis] -= np.concatenate([[0], np.cumsum(sizes[:-1, axis])])
+            self.shift.assign(-low * width)
+        most = min(
+            max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
+        )
         while np.prod(dims, dtype=float) > most:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
-        again, self.fitted = self.fitted, True
         if np.all(dims <= self._dims):
-            return False
+            return
         # What spreads is to find room for a while.
-        self._dims = np.maximum(self._dims, dims + dims // 4 if again else dims)
-        while np.prod(self._dims, dtype=float) > most:
-            self._dims[np.argmax(self._dims)] = (self._dims.max() + 1) // 2
+        grown = np.maximum(self._dims, dims + dims // 4)
+        self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
         self._make()
-        return True
+
+    def _reach(self, s: int, width: float) -> np.ndarray:
+        """Lowest and highest corner of where nearly all spheres of a scene are [m], shape (2, 3)."""
+        state = self.batch.states[s]
+        stride = max(1, state.sphere_count // LOOKED_AT)
+        places = state.spheres.position.numpy()[::stride, :3].astype(float)
+        places = places[np.isfinite(places).all(axis=1)]
+        if not len(places):
+            return np.zeros((2, 3))
+        middle = np.median(places, axis=0)
+        near = np.clip(places - middle, -FARTHEST * width, FARTHEST * width)
+        return middle + np.percentile(near, [AMONG, 100 - AMONG], axis=0)
 
     def build(self, centre: wp.array, width: float) -> None:
         """Sort points, shifted already, into cells of a `width` [m]."""

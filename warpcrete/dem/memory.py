@@ -12,7 +12,7 @@ from ..core.errors import CapacityError
 from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
 from .bodies import BodyTable
 from .model import Model
-from .neighbors import KEPT
+from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
 LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
@@ -41,7 +41,7 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     if model.features.half_list:
         listing += 4 * listed + 4  # what a search finds, and where
     else:
-        listing += 4 * KEPT  # what a search finds
+        listing += 4 * MOST_KEPT  # what a search finds
         # Links, each two entries of a list: the pair, its scene and state; what it gives at both; a sphere's sums.
         listing += listed * (12 + 8 * scalar) + (6 * scalar if model.features.clumps else 0)
     if model.features.subcycling and model.scene.hydration is not None:

@@ -27,9 +27,9 @@ DRIFT_LANES = 64
 OCTANTS = 8
 """Threads of a GPU that search for the neighbours of a sphere, and fill its row, where there are few."""
 KEPT = 32
-"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice, the first time."""
-MOST_KEPT = 128
-"""As many as that, where there are spheres that have more."""
+"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice."""
+MOST_KEPT = 64
+"""As many as that, once there were spheres that have more, but none more than these."""
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
     "spheres": ("scene", "body", "force", "moment"),
@@ -69,8 +69,6 @@ class NeighborLists:
         self.sort_every = np.full(batch.count, 20)
         """Builds of a scene from one re-sorting of its bodies to the next; 0: never."""
         self.builds = np.zeros(batch.count, dtype=int)
-        self.mean_radius = np.array([s.mean_radius for s in batch.states])
-        """Of a scene's spheres at full size [m]."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -100,7 +98,7 @@ class NeighborLists:
         self._old.start = zeros(n + scenes)
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
         self._recorded: dict[bool, _Launches] = {}
-        self._version = -1
+        self._version: tuple[int, ...] = ()
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is marked stale."""
@@ -118,11 +116,8 @@ class NeighborLists:
         self.builds[stale] += 1
         wp.copy(self._old.start, b.pairs.start)
         self._keep_old(np.flatnonzero(stale))
-        scale = b.scenes.scale.numpy() if b.features.growth else 1.0
-        # Cells for the many small spheres: the few large ones look through more of them.
-        width = float(np.max(2 * self.mean_radius * scale + b.rows["skin"]))
-        if (sort or not self._cells.fitted) and self._cells.fit(width):
-            self._recorded.clear()
+        width = self._cells.width()
+        self._cells.fit(width, due)
         launches = self._launches(sort)
         launches.centres()
         self._cells.build(self._centre, width)
@@ -143,11 +138,9 @@ class NeighborLists:
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
         b.in_parts(launches.fill)
-        if len(self._finds) < min(longest, MOST_KEPT):
-            self._finds = wp.empty(
-                (min(longest + longest // 4, MOST_KEPT), b.sphere_count), dtype=wp.int32, device=b.device
-            )
-            self._version = -1  # from the next build on
+        if len(self._finds) < longest <= MOST_KEPT:
+            self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
+            self._version = ()  # from the next build on
         b.in_parts(launches.transfer)
         self._link(launches)
         if b.features.meshes:
@@ -161,7 +154,7 @@ class NeighborLists:
         launches.drift()
         launches.clear_stale()
         b.device_changed()
-        b.lists_built()
+        b.ahead.built()
 
     def _link(self, launches: _Launches) -> None:
         if launches.links:
@@ -246,9 +239,10 @@ class NeighborLists:
 
     def _launches(self, sorted_now: bool) -> _Launches:
         """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now."""
-        if self._version != self.batch.version:
+        version = self.batch.version, self._cells.grid.id
+        if self._version != version:
             self._recorded.clear()
-            self._version = self.batch.version
+            self._version = version
         if sorted_now not in self._recorded:
             self._recorded[sorted_now] = self._record(sorted_now)
         return self._recorded[sorted_now]

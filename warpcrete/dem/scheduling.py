@@ -94,8 +94,13 @@ def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
                     with put_off():
                         lists()
                 ready = [s for s in waiting if members[s].waiting and members[s].stepper.reached(flags[s])]
-                for s in ready:
-                    go_on(s, stop)
+                estimate = members[waiting[0]].stepper.stable_step
+                try:
+                    estimate.foresee([s for s in ready if members[s].stepper.wants_estimate()])
+                    for s in ready:
+                        go_on(s, stop)
+                finally:
+                    estimate.forget()
         except KeyboardInterrupt as interruption:
             stop = interruption
         except CapacityError as full:  # of the lists, which all scenes share

@@ -45,16 +45,33 @@ class StableStep:
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._recorded: dict[tuple[int, bool], Callable[[], None]] = {}
         self._version = -1
+        self._known: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate for scene number `s`."""
+        """Estimate for scene number `s`, unless that is done already."""
+        if s in self._known:
+            self._known.discard(s)
+            return
+        self._estimate_for([s])
+
+    def foresee(self, scenes: list[int]) -> None:
+        """Estimate for scenes that will want it before the next step; a GPU does all in the time of one."""
+        if len(scenes) > 1 and self.batch.parallel:
+            self._estimate_for(scenes)
+            self._known = set(scenes)
+
+    def forget(self) -> None:
+        """What was foreseen, and nobody asked for, holds no more."""
+        self._known.clear()
+
+    def _estimate_for(self, scenes: list[int]) -> None:
         asked = np.zeros(self.batch.count, dtype=np.int32)
-        asked[s] = 1
+        asked[scenes] = 1
         if not np.array_equal(asked, self._asked_before):
             self._asked.assign(asked)
             self._asked_before = asked
         self.batch.device_changed()
-        self._launch(s, False)()
+        self._launch(scenes[0], False)()
         self.batch.device_changed()
 
     def by_device(self) -> Callable[[], None]:

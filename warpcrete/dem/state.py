@@ -209,6 +209,11 @@ class State:
             self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
 
+    def taken_into(self, batch: Any, index: int) -> None:
+        """Be number `index` of a batch."""
+        self.batch, self.index = batch, index
+        self._launches = -1, {}
+
     def launches(self, version: int) -> dict[str, Any]:
         """Recorded launches of probes by name, for arrays of this version of the batch's."""
         if self._launches[0] != version:

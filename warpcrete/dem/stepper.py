@@ -15,7 +15,6 @@ from ..kernels.dem.clock import CLOSE
 from ..kernels.dem.structs import DT_PREVIOUS, TIME
 from ..kernels.dem.subcycling import PART
 from ..kernels.dem.wall_motion import SPEED_LIMIT
-from .ahead import NEVER
 from .batch import Batch
 from .bonding import make_bonds, reassign_bonds
 from .loading import load_kernels
@@ -81,7 +80,7 @@ class Stepper:
             # What spheres and moving meshes may go between two builds adds up to the skin.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
-        self._estimated = False
+        self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0
         self.running = False  # until then an unstable fixed step is bad input, later an instability
         if resumed is not None:
@@ -199,7 +198,6 @@ class Stepper:
             self.index,
             safety=step.safety,
             largest_step=step.largest,
-            interval=step.interval,
             fixed_step=step.fixed or 0.0,
             foreseen_speed=self._foreseen[1],
         )
@@ -237,7 +235,7 @@ class Stepper:
         """Coroutine that gets to a goal: a time, to within one step, or a number of steps of the present size.
 
         It yields when the batch has something to work for, and goes on when the scene has halted because it is there,
-        or, on a CPU, because its stable step must be estimated.
+        or because its stable step must be estimated and no device has done that.
         """
         if isinstance(goal, Steps):
             yield from self._taking(goal.count)
@@ -248,16 +246,22 @@ class Stepper:
                 self.choose_dt()
             if not goal.time - self.time > CLOSE * self.dt:
                 return
-            self.batch.goal(self.index, until=goal.time)
+            self._counting = False
+            self.batch.goal(self.index, until=goal.time, interval=self.time_step.interval)
             yield
 
     def _taking(self, count: int) -> Coroutine:
         if not self._estimated:
             self.choose_dt()
         if count > 0:
-            self.batch.set(self.index, interval=NEVER)
+            self._counting = True
             self.batch.goal(self.index, steps=self.steps + count)
             yield
+
+    def wants_estimate(self) -> bool:
+        """Whether, having taken so many steps, it will estimate the stable step before it takes others."""
+        self._set_step()
+        return self._counting and self._since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
         """Step until the simulated time reaches `until` [s], to within one step."""

@@ -231,7 +231,3 @@ class Subcycles:
         first, last = count * part // b.threads, count * (part + 1) // b.threads
         tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first
         return b.stage(kernel, tasks, first=first, last=last, subcycled=self.arrays, **named)
-
-
-def _firsts(counts: list[int]) -> list[int]:
-    return [sum(counts[:s]) for s in range(len(counts))]
