@@ -13,8 +13,8 @@ LARGEST = 16 * 2**20
 
 
 @functools.cache
-def _side_stream(device: Any) -> Any:
-    return wp.Stream(device)
+def _side_stream(alias: str) -> Any:
+    return wp.Stream(alias)
 
 
 class Copy:
@@ -57,7 +57,7 @@ class Copies:
         else:
             here = wp.empty_like(array)
             there = wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
-        main, side = device.stream, _side_stream(device)
+        main, side = device.stream, _side_stream(device.alias)
         wp.copy(here, array)
         side.wait_event(main.record_event())
         wp.copy(there, here, stream=side)
