@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .copies import Copies, Copy
 from .errors import one_of
 from .later import Later
 
@@ -117,27 +116,25 @@ class Display(ABC):
         self.colouring = self.preferred if colouring is None else colouring
         one_of("colour", self.colouring, self.colourings)
         self._sources: dict[str, Callable[[], Any]] = {}
-        self._copies = Copies()
         self._taken: Moment | None = None
         self._complete = False
 
     def read(self, path: str) -> np.ndarray:
         """An array of the state by its path, such as "bodies.velocity", at the moment that is drawn."""
-        return self.once(path, lambda: self._copies.take(path, attrgetter(path)(self.simulation.state)))
+
+        def now() -> np.ndarray:
+            array = attrgetter(path)(self.simulation.state)
+            # On a CPU `numpy` gives the array itself, which the run goes on with.
+            return array.numpy().copy() if array.device.is_cpu else array.numpy()
+
+        return self.once(path, now)
 
     def once(self, name: str, source: Callable[[], Any]) -> Any:
         """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now."""
-        if self._taken is None:
-            self._sources[name] = source
-            value = source()
-        else:
-            value = self._taken.found[name]
-        if not isinstance(value, Copy):
-            return value
-        read = value.read()
         if self._taken is not None:
-            self._taken.found[name] = read
-        return read
+            return self._taken.found[name]
+        self._sources[name] = source
+        return source()
 
     @property
     def time(self) -> float:
