@@ -326,3 +326,18 @@ def test_coincident_centres_part(start):
     stepper.advance(0.05)
     x = by_id(stepper.state, "position")
     assert np.all(np.isfinite(x)) and np.linalg.norm(x[1] - x[0]) > 1.9 * RADIUS
+
+
+@pytest.mark.parametrize("direction", [(1, 2, 3), (-3, 1, 0), (1, -1, 1)])
+def test_the_stable_step_of_an_oblique_contact_is_by_the_rows_of_its_matrix(start, direction):
+    """Of a sphere between two, without dashpots: shear that turns it governs, K = 2 k r^2 (1 - n n^T), by its largest
+    absolute row sum."""
+    steps = []
+    for n in ((1.0, 0.0, 0.0), direction):
+        n = np.array(n) / np.linalg.norm(n)
+        positions = np.outer([-1.9, 0.0, 1.9], RADIUS * n)  # a wall at the next touch would count as much as one
+        bodies = Bodies(positions=positions, sizes=2 * RADIUS, density=DENSITY)
+        scene = dataclasses.replace(two_spheres(), bodies=(bodies,), time_step=TimeStep())
+        steps.append(start(scene).estimate())
+    rows = np.abs(np.eye(3) - np.outer(n, n)).sum(1)
+    assert steps[1] / steps[0] == pytest.approx(1 / np.sqrt(rows.max()), rel=1e-12)
