@@ -47,6 +47,8 @@ PUBLISHED = {
 }
 """Section 5.1: read for the units at the reference parameters."""
 
+OF_THE_PAPER = ("zhan", "zhan-table1")
+"""Concretes beside which the paper's figures are shown."""
 FEWEST = 30
 """Aggregates that stand for concrete: fewer are so many stones."""
 MOST_BALLS = 600_000
@@ -83,6 +85,7 @@ def scene(parameters: PipeParameters) -> Scene:
             templates=clumps.templates(given.shapes, given.shape_spheres),
             fractions=_fractions(given.fractions),
             density=given.density,
+            bulk_density=given.bulk_density,
             solid_fraction=given.solid_fraction,
             # Below that a packing has no pressure to speak of.
             pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
@@ -231,7 +234,8 @@ def _plug(
         bore = _odd_bore(given, axis, pipe, given.length, given.front)
         points = plug_points(axis, bore.smallest if bore is not None else given.radius, given.length,
                              given.plug_ball, given.layers)  # fmt: skip
-        bodies = Bodies(positions=points, sizes=given.plug_ball, density=given.density, group="plug")
+        density = given.bulk_density or given.density
+        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * given.area)
         # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.
         bonds = Bonds(
@@ -244,7 +248,7 @@ def _plug(
         motion = Driven(
             direction=back,
             force=given.plug_pressure * given.area,
-            mass=given.density * given.area * 2 * given.plug_ball,
+            mass=(given.bulk_density or given.density) * given.area * 2 * given.plug_ball,
         )
         plate = PlaneWall(name="plug", point=tuple(points[0]), normal=back, motion=motion, drawn_radius=given.radius)
         return (), (), {}, (plate,)
@@ -402,4 +406,7 @@ def _is_reference(given: PipeParameters) -> bool:
         "overlap_limit",
         "time_step",
     }
-    return all(getattr(given, f.name) == f.default for f in fields(given) if f.name not in free)
+    if given.concrete not in OF_THE_PAPER:
+        return False
+    its_own = {f.name: f.default for f in fields(given)} | scene.completed({"concrete": given.concrete})
+    return all(getattr(given, name) == value for name, value in its_own.items() if name not in free)

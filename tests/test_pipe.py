@@ -29,7 +29,7 @@ def test_every_unit_pumps_and_balances_momentum(device, unit):
 def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device):
     # Without friction the piston carries the weight and the plug's pressure, and nothing else.
     run = Simulation(
-        scenes.pipe(unit="vertical", friction=0.0, bonds=False,
+        scenes.pipe(concrete="zhan-table1", unit="vertical", friction=0.0, bonds=False,
                     **SMALL | {"velocity": 0.02, "ramp": 0.02, "travel": 0.04, "length": 0.1}), device=device,
     ).run()  # fmt: skip
     area = math.pi * 0.04**2

@@ -8,7 +8,7 @@ import click
 
 from ..core.parameters import Field, declared_fields, resolved
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
-from ..mps.mixes import CONSTANTS, concrete_of
+from ..mps.mixes import CONSTANTS, concrete_of, file_constants
 from ..mps.theory import Line, table
 
 LINE = ("length", "rise", "gravity")
@@ -25,6 +25,7 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     """Print the table for the parameters `given`, others at their defaults."""
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
+    values |= file_constants(values)
     for name, field in known.items():
         field.check(values[name], name)
     thickness = values["slip_thickness"]

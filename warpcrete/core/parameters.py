@@ -16,6 +16,7 @@ import sys
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -80,6 +81,13 @@ class Needs:
 
 
 @dataclass(frozen=True)
+class FileIf:
+    """Text that names a file where `test` says so: it is kept as an absolute path, which holds in any folder."""
+
+    test: Callable[[str], bool]
+
+
+@dataclass(frozen=True)
 class Alias:
     """Another name by which a parameter is known; `convert` makes its value of the other's."""
 
@@ -125,6 +133,8 @@ class Field:
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+        if any(rule.test(value) for rule in self.of_kind(FileIf)):
+            return str(Path(value).resolve())
         return value
 
     def check(self, value: Any, name: str) -> None:
@@ -167,6 +177,11 @@ class Declared:
             object.__setattr__(self, name, value)
             field.check(value, shown)
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Parameters that those given imply, where they are not given themselves."""
+        return {}
+
     def check_needed(self) -> None:
         """Refuse parameters that differ from their defaults where they mean nothing."""
         for name, field in declared_fields(type(self)).items():
@@ -200,7 +215,7 @@ class SceneFunction(Generic[P, S]):
         known = declared_fields(self.parameters)
         if args:
             refuse("parameters", args, "must be given by name", f"known are {', '.join(known)}")
-        values = self.resolved(given)
+        values = self.completed(given)
         for name in values:
             if name not in known:
                 refuse("parameters", sorted(given), f"got an unexpected keyword argument {name!r}",
@@ -218,9 +233,29 @@ class SceneFunction(Generic[P, S]):
             text = repr(value) if isinstance(value, float) else f"a number of {value.bit_length()} bits"
             raise SceneError(f"{name} = {text}: is beyond what can be computed with; use SI units") from error
 
+    def declared(self, given: Mapping[str, Any]) -> Any:
+        """The dataclass of the parameters: those that are given, what they imply, defaults."""
+        return self.parameters(**self.completed(given))
+
+    def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters by their own names, with those that they imply (as a concrete by its name does), as far as these
+        mean something.
+        """
+        values = self.resolved(given)
+        implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
+        if not implied:
+            return values
+        meant = self._meant(implied | values)
+        return values | {name: value for name, value in implied.items() if name in meant}
+
     def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters by their own names, without those that mean nothing beside the others."""
         values = self.resolved(given)
+        meant = self._meant({**self.parameters.implied(values), **values})
+        return {name: value for name, value in values.items() if name in meant}
+
+    def _meant(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Of values by their own names those that mean something beside each other."""
         known = declared_fields(self.parameters)
 
         def meant(name: str) -> bool:

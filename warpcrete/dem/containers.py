@@ -129,6 +129,9 @@ class Fill:
     fractions: tuple[float, ...] | None = None
     """Volume fraction of each template; None: equal."""
     density: float = 2500.0
+    """Of the bodies [kg/m3]."""
+    bulk_density: float | None = None
+    """Of the filled container [kg/m3], instead: bodies bear what is between them, too."""
     """[kg/m3]"""
     material: str = "aggregate"
     solid_fraction: float | None = None
@@ -138,6 +141,8 @@ class Fill:
 
     def __post_init__(self) -> None:
         positive("density", self.density, "kg/m3")
+        if self.bulk_density is not None:
+            positive("bulk_density", self.bulk_density, "kg/m3")
         if (self.solid_fraction is None) == (self.pressure is None):
             refuse("solid_fraction", self.solid_fraction, "give either a solid fraction or a pressure")
         if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:

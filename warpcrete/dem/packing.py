@@ -271,6 +271,8 @@ class _Growth:
         result = state.table()
         # The grown sizes keep their density, not their mass.
         result.density = self.table.density.copy()
+        if self.fill.bulk_density is not None:
+            result.density[:] = self.fill.bulk_density * self.container.volume / result.volume.sum()
         result.velocity = np.zeros_like(result.velocity)
         result.spin = np.zeros_like(result.spin)
         reached = sums.virial / (3 * self.container.volume)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+from ..core.concretes import is_file
 from ..core.device import PRECISIONS
 from ..core.errors import refuse
 from ..core.knobs import Knob, Level, precisions, scaled
-from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within
+from .concretes import elements_of
 from .laws.linear import DASHPOTS
 from .scene import MUCH_STIFFER
 
@@ -37,6 +39,7 @@ OF_MESHES = Needs("shapes", of_meshes, "names meshes")
 SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
 NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
+BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
 OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
 PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
 
@@ -70,6 +73,18 @@ class PistonParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConcreteChoice:
+    """Concrete."""
+
+    concrete: Annotated[
+        str,
+        "zhan (Table 1 and a wall layer calibrated on units A and B), zhan-table1, no1, no2, no3, or the path of a "
+        ".yaml file; it stands for parameters of aggregate, contacts and bonds that are not given",
+        FileIf(is_file),
+    ] = "zhan"
+
+
+@dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
     """Aggregate."""
 
@@ -87,7 +102,10 @@ class AggregateParameters:
     size_deviation: Annotated[
         float | None, "standard deviation of the gaussian [m]; default: half the range", Above(), NORMAL
     ] = None
-    density: Annotated[float, "[kg/m3]", Above()] = 2500.0
+    density: Annotated[float, "of the aggregates, which weigh alone [kg/m3]", Above(), BY_ITSELF] = 2500.0
+    bulk_density: Annotated[
+        float | None, "of the concrete [kg/m3]: aggregates bear the mortar between them, too", Above()
+    ] = None
     solid_fraction: Annotated[float | None, "of the packing; default: packed to the plug's pressure"] = None
 
 
@@ -163,10 +181,14 @@ class RunParameters(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
-    UnitParameters, PistonParameters, AggregateParameters, ContactParameters, BondParameters, PlugParameters,
-    RunParameters,
+    UnitParameters, PistonParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
+    PlugParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        return elements_of(values, (AggregateParameters, ContactParameters, BondParameters), cls.concrete)
 
     def __post_init__(self) -> None:
         super().__post_init__()

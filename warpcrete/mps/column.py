@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from ..core.concretes import is_file
 from ..core.errors import positive, refuse
 from ..core.knobs import Knob, Level, Trading, precisions, scaled
-from ..core.parameters import Above, Alias, Needs, OneOf, Within
+from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
-from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, mortar_of
+from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, file_constants, mortar_of
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
 from .theory import MIXES, Concrete, Line, flow_of_pressure
 
@@ -38,15 +39,23 @@ def twice(radius: Any) -> Any:
 class ConcreteParameters:
     """Concrete."""
 
-    concrete: Annotated[str, "no1, no2, no3 (Xu et al. 2021), or own with the five constants below", Alias("mix")] = (
-        "no1"
-    )
+    concrete: Annotated[
+        str,
+        "no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the five constants below",
+        Alias("mix"),
+        FileIf(is_file),
+    ] = "no1"
     density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's"] = None
     viscosity: Annotated[float | None, "plastic viscosity [Pa s]"] = None
     yield_stress: Annotated[float | None, "[Pa]"] = None
     slip_viscosity: Annotated[float | None, "of the slip layer, over its thickness [Pa s/m]"] = None
     slip_yield: Annotated[float | None, "yield stress of the slip layer [Pa]"] = None
     slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]"] = 0.0
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A file's constants: a run's record holds them, however the file changes."""
+        return file_constants(values)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core.concretes import concrete
 from ..core.errors import SceneError, between, one_of, refuse
 from ..core.parameters import Above, Declared, Within
 
@@ -38,14 +39,7 @@ class Concrete(Declared):
     slip_yield: Annotated[float, "tau_L0 [Pa]", Within(0)]
 
 
-CONCRETES = {
-    c.name: c
-    for c in (
-        Concrete(name="no1", density=2354, viscosity=397, yield_stress=190, slip_viscosity=893, slip_yield=251),
-        Concrete(name="no2", density=2345, viscosity=305, yield_stress=181, slip_viscosity=844, slip_yield=239),
-        Concrete(name="no3", density=2338, viscosity=297, yield_stress=149, slip_viscosity=922, slip_yield=204),
-    )
-}
+CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
 """Xu, Li & Jiang 2021, Tables 1 to 3 (slip layer of no thickness); slumps 13, 18 and 22 cm."""
 
 THICKER_LAYERS = {

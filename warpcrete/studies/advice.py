@@ -54,7 +54,7 @@ def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> P
     for path in sorted(SHIPPED.glob("*.json")):
         record = read_json(path)
         if record["scene"] == name:
-            here, there = (module.scene.parameters(**each) for each in (own, record["parameters"]))
+            here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
             closed = module.trading.closed_form
             unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
             apart = len(outside(record["parameters"], own, module))
@@ -102,7 +102,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: that trade promises {100 * best:.2g} % at best",
                "ask for that, or let the trade go on")  # fmt: skip
     own = module.scene.resolved(given)
-    knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.parameters(**own))}
+    knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}
     taken, left_out = [], []
     for knob_name, key in levels.items():
@@ -116,12 +116,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
             changes |= level.changes
             taken.append(f"{knob_name} {level.label}")
     tolerance = module.trading.tolerance
-    if (
-        tolerance
-        and tolerance not in own
-        and not left_out
-        and module.trading.closed_form(module.scene.parameters(**own))
-    ):
+    if tolerance and tolerance not in own and not left_out and module.trading.closed_form(module.scene.declared(own)):
         changes[tolerance] = accuracy
     return Advice(
         changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
@@ -134,7 +129,7 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Parameters that differ from those of the trade's scene, in words."""
     # As the scene takes them: a letter for a unit is its name.
-    ours, theirs = (module.scene.parameters(**each) for each in (own, measured))
+    ours, theirs = (module.scene.declared(each) for each in (own, measured))
     found = []
     for name in declared_fields(module.scene.parameters):
         here, there = getattr(ours, name), getattr(theirs, name)

@@ -137,7 +137,7 @@ def _knobs_of(scene: Any) -> set[str]:
     module = modules().get(scene.name)
     if module is None or not scene.parameters:
         return set()
-    return {k.name for k in module.trading.knobs(module.scene.parameters(**scene.parameters)) if k.chosen}
+    return {k.name for k in module.trading.knobs(module.scene.declared(scene.parameters)) if k.chosen}
 
 
 def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:

@@ -171,7 +171,7 @@ def run_study(
         if "precision" in varied or given.get("precision", precision) != precision:
             refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
         given["precision"] = precision
-    defaults = {name: found.default for name, found in known.items()}
+    defaults = {name: found.default for name, found in known.items()} | module.scene.completed(given)
     cases = cases_of(
         given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
     )
@@ -180,8 +180,9 @@ def run_study(
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
-        # Paths, for one, are written down as the scene has them, whole.
-        cases[place] = replace(case, parameters={name: made.parameters[name] for name in case.parameters})
+        # Paths, for one, are written down as the scene has them, whole, and a concrete's parameters by value.
+        whole = module.scene.completed(case.parameters)
+        cases[place] = replace(case, parameters={name: made.parameters[name] for name in whole})
     check_new(out)
     with open_cluster(scheduler, workers, device) as cluster:
         seed = int(given.get("seed", 0))

@@ -78,8 +78,8 @@ def run_trade(
     if trading is None:
         refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
     scene = module.scene(**(base or {}))
-    given = module.scene.parameters(**module.scene.resolved(base or {}))
-    parameters = {name: scene.parameters[name] for name in module.scene.resolved(base or {})}
+    given = module.scene.declared(base or {})
+    parameters = {name: scene.parameters[name] for name in module.scene.completed(base or {})}
     known = {each.name: each for each in method_of(scene).quantities}
     chosen = list(quantities or trading.quantities)
     for name in chosen:

@@ -43,7 +43,7 @@ class Trade:
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
         self.threads: int = record["threads"]
-        given = self.declared = module.scene.parameters(**self.base)
+        given = self.declared = module.scene.declared(self.base)
         self.has_seeds = bool(record["seeded"])
         self.first_seed = int(self.base.pop("seed", 0))
         self.knobs = [knob for knob in module.trading.knobs(given) if knob.name in record["knobs"]]
@@ -150,7 +150,7 @@ class Trade:
     def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
         """The settings of a point in a variant of the scene; knobs go by what their levels are called there."""
         base = {**self.base, **changes}
-        knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.parameters(**base))}
+        knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
         for name, key in self.keys_of(point).items():
             level = knobs[name].level_of(key) if name in knobs else None
             base |= level.changes if level else {}
@@ -167,7 +167,7 @@ class Trade:
     def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """All parameters that mean something, defaults included."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
-        return self.module.scene.meaningful({**defaults, **parameters})
+        return self.module.scene.meaningful({**defaults, **self.module.scene.completed(parameters)})
 
     def _differs(self, name: str, level: int) -> bool:
         (knob,) = [each for each in self.knobs if each.name == name]

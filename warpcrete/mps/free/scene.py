@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from ...core.concretes import is_file
 from ...core.device import PRECISIONS
 from ...core.errors import between, one_of, positive, refuse
 from ...core.parameters import Above, Declared, OneOf, Within
@@ -176,7 +177,7 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
     def mixed(self, slips: bool) -> Concrete:
         """The concrete; a slip layer that nothing meets needs no numbers."""
         constants = {name: getattr(self, name) for name in CONSTANTS}
-        if not slips and self.concrete == "own":
+        if not slips and (self.concrete == "own" or is_file(self.concrete)):
             constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
         return concrete_of(self.concrete, self.slip_thickness, **constants)
 

@@ -1,0 +1,130 @@
+"""Concretes by name or from a file: what each method takes them for.
+
+A file is YAML (or JSON) with up to two sections of parameters by name, both in SI units:
+
+- `elements`: of scenes of discrete elements, as `warpcrete run pipe --help` lists them under aggregate, contacts and
+  bonds;
+- `flow`: the five constants of a Bingham fluid with a slip layer.
+
+`base` names a concrete whose sections the file's own values complete or replace; `source` and `calibrated` say where
+the numbers come from.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .errors import refuse
+
+SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
+FILES = (".yaml", ".yml", ".json")
+SECTIONS = ("elements", "flow")
+TEXTS = ("name", "source", "calibrated", "base")
+LONGEST_CHAIN = 10
+"""Of concretes that are each the base of the next."""
+
+
+class Numbers(yaml.SafeLoader):
+    """YAML of which 1e5 is a number, as in YAML 1.2 and everywhere else."""
+
+
+Numbers.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+@dataclass(frozen=True)
+class NamedConcrete:
+    """What is known of a concrete."""
+
+    name: str
+    source: str = ""
+    calibrated: str = ""
+    """What was fitted, and to what; nothing if all is as published or measured."""
+    elements: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters of discrete elements; empty where nothing is known."""
+    flow: Mapping[str, float] = field(default_factory=dict)
+    """Constants of a Bingham fluid with a slip layer; empty where nothing is known."""
+
+
+def read_yaml(path: Path, name: str) -> Mapping[str, Any]:
+    """The mapping that a file holds; `name` is the field that named it. Raises :class:`SceneError` without one."""
+    try:
+        found = yaml.load(path.read_text(encoding="utf-8"), Numbers)
+    except OSError as error:
+        refuse(name, str(path), f"cannot be read ({error.strerror})", "give the path of a file that can")
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        refuse(name, str(path), f"is no YAML: {' '.join(str(error).split())}", "write 'key: value' lines")
+    if not isinstance(found, Mapping):
+        refuse(name, str(path), f"holds {type(found).__name__}, not 'key: value' lines", "see a shipped one")
+    return found
+
+
+def shipped() -> tuple[str, ...]:
+    """Names of the concretes that come with the package."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
+
+
+def is_file(name: str) -> bool:
+    """Is a concrete of this name read from a file of the user's?"""
+    return Path(name).suffix.lower() in FILES
+
+
+def concrete(name: str) -> NamedConcrete:
+    """The concrete of a name or a path. Raises :class:`SceneError` where there is none, or its file is wrong."""
+    if is_file(name):
+        return _read(Path(name), 0)
+    if name not in shipped():
+        refuse("concrete", name, f"must be one of {', '.join(shipped())}, or the path of a .yaml file")
+    return _shipped(name)
+
+
+@functools.cache
+def _shipped(name: str) -> NamedConcrete:
+    return _read(SHIPPED / f"{name}.yaml", 0)
+
+
+def _read(path: Path, depth: int) -> NamedConcrete:
+    given = read_yaml(path, "concrete")
+    if depth > LONGEST_CHAIN:
+        refuse("concrete base", str(path), "is its own base, or one of too many", "end the chain of bases")
+    for key in given:
+        if key not in (*TEXTS, *SECTIONS):
+            refuse("concrete", str(path), f"has the key {key!r}", f"known are {', '.join((*TEXTS, *SECTIONS))}")
+    texts = {key: str(given[key]) for key in TEXTS if given.get(key) is not None}
+    sections = {}
+    for section in SECTIONS:
+        found = given.get(section) or {}
+        if not isinstance(found, Mapping):
+            refuse(f"concrete {section}", found, "must be 'name: value' lines", "indent them below the section's name")
+        sections[section] = dict(found)
+    if "base" in texts:
+        base = _base(texts.pop("base"), path, depth)
+        sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
+        texts.setdefault("source", base.source)
+    if not any(sections.values()):
+        refuse("concrete", str(path), "says nothing of elements or flow", "give it one of these sections, or a base")
+    return NamedConcrete(**{"name": path.stem, **texts}, **sections)
+
+
+def _base(name: str, path: Path, depth: int) -> NamedConcrete:
+    if is_file(name):
+        return _read(path.parent / name, depth + 1)
+    if name not in shipped():
+        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file beside {path.name}")
+    return _read(SHIPPED / f"{name}.yaml", depth + 1)
+
+
+def known_only(section: str, values: Mapping[str, Any], known: Collection[str], name: str) -> dict[str, Any]:
+    """Values of a section of the concrete `name`, all of which must be `known`."""
+    for key in values:
+        if key not in known:
+            refuse(f"concrete {section}", key, f"is not known (in {name})", f"known are {', '.join(known)}")
+    return dict(values)
