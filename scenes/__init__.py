@@ -1,6 +1,7 @@
 """Scenes: one file each, with `scene(**parameters)`, which makes one, and `check(run)`, its own acceptance.
 
-Every file of this folder is a scene: `modules` finds it, and its function stands here under the file's name.
+Every file of this folder is a scene: `modules` finds it by the file's name, with hyphens, and its function stands here
+under that name itself. What flows do and discrete elements, too, are two scenes: NAME and NAME-dem.
 """
 
 from __future__ import annotations
@@ -10,22 +11,47 @@ import pkgutil
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from warpcrete.core.errors import refuse
+
 if TYPE_CHECKING:
     from .channel import scene as channel
     from .funnel import scene as funnel
+    from .funnel_dem import scene as funnel_dem
     from .lbox import scene as lbox
+    from .lbox_dem import scene as lbox_dem
     from .pipe import scene as pipe
     from .slump import scene as slump
+    from .slump_dem import scene as slump_dem
     from .tube import scene as tube
 
-__all__ = ["channel", "funnel", "lbox", "modules", "pipe", "slump", "tube"]
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "lbox", "lbox_dem", "modules", "pipe", "slump", "slump_dem",
+           "tube"]  # fmt: skip
+
+METHODS = ("mps", "dem")
+"""Methods by the names that results have for them: moving particles, discrete elements."""
 
 
 def modules() -> dict[str, ModuleType]:
     """Every scene's module, by its name."""
     names = sorted(info.name for info in pkgutil.iter_modules(__path__))
     found = {name: importlib.import_module(f"{__name__}.{name}") for name in names if not name.startswith("_")}
-    return {name: module for name, module in found.items() if hasattr(module, "scene")}
+    return {name.replace("_", "-"): module for name, module in found.items() if hasattr(module, "scene")}
 
 
-globals().update({name: module.scene for name, module in modules().items()})
+def by_method(name: str, method: str) -> str:
+    """Name of the scene that simulates what scene `name` does by `method`, of METHODS, which a scene's name ends with
+    if another one has the plain name.
+
+    Raises :class:`warpcrete.SceneError` if there is none.
+    """
+    plain = name.removesuffix("-dem")
+    found = {METHODS[name.endswith("-dem")]: name for name in modules() if name.removesuffix("-dem") == plain}
+    if plain == "pipe":
+        found = {"dem": plain}
+    if method not in found:
+        refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
+               f"means nothing: there is no scene {name!r}", "'warpcrete list' names all scenes")  # fmt: skip
+    return found[method]
+
+
+globals().update({name.replace("-", "_"): module.scene for name, module in modules().items()})

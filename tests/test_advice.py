@@ -67,7 +67,10 @@ def test_the_nearest_shipped_trade_is_taken():
     # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
     for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
         assert shipped("pipe", pipes, {"unit": unit}, True).stem == trade
-    assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
+    literal = {"unit": "D", "concrete": "zhan-table1"}  # of which trades are
+    assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, literal, 0.2).outside
+    layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
+    assert layered == ("concrete zhan for zhan-table1", "layer_viscosity 900 for 0")
     assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
     assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert shipped("nothing", pipes, {}, False) is None

@@ -98,7 +98,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
 
 def test_features_are_those_that_are_compiled_in(device):
     def used(**changes) -> set[str]:
-        scene = scenes.pipe(**SMALL | dict(length=0.2) | changes)
+        scene = scenes.pipe(concrete="zhan-table1", **SMALL | dict(length=0.2) | changes)
         if not changes.get("bonds", True):  # of the plug, too
             scene = replace(scene, bodies=(), drives=(), group_bonds={})
         features = explain(scene, device=device, cache=False)
@@ -172,7 +172,7 @@ def test_the_largest_step_allowed_bounds_soft_scenes(device):
 
 
 def test_a_container_that_is_a_mesh_is_explained(tmp_path):
-    base = scenes.pipe(**SMALL)
+    base = scenes.pipe(concrete="zhan-table1", **SMALL)
     boxes = [trimesh.creation.box((0.1, 0.1, height)) for height in (0.1, 0.12)]
     made = [
         replace(base, bodies=(), drives=(), group_bonds={}, walls=(), pressure=None, pipe=None, duration=0.01,

@@ -176,7 +176,8 @@ def test_wheel_holds_the_package_and_nothing_else(tmp_path):
         f"warpcrete/{path.relative_to(ROOT)}" for room in ("kernels", "scenes") for path in (ROOT / room).rglob("*.py")
     }
     wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete").rglob("*.py")}
-    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "measured").glob("*.json")}
+    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "measured").rglob("*.json")}
+    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "measured").rglob("*.yaml")}
     assert names == wanted
     assert any(name.endswith("licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from . import scenes
     from .dem.scene import Scene
     from .methods import Simulation
-    from .mps.scene import FluidScene
+    from .studies.calibrate import calibrate
     from .studies.explain import explain
     from .studies.trade import trade
 
@@ -31,20 +31,20 @@ __all__ = [
     "CapacityError",
     "ConvergenceError",
     "DeviceError",
-    "FluidScene",
     "InstabilityError",
     "RunFolderError",
     "Scene",
     "SceneError",
     "Simulation",
     "WarpcreteError",
+    "calibrate",
     "explain",
     "scenes",
     "trade",
 ]
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
-_LAZY |= {"trade": "studies.trade", "explain": "studies.explain"}
+_LAZY |= {"trade": "studies.trade", "explain": "studies.explain", "calibrate": "studies.calibrate"}
 
 
 def __getattr__(name: str) -> Any:

@@ -135,6 +135,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     functions = law.functions(scalar)
     Parameters, contact_force, contact_energy = functions.Parameters, functions.force, functions.energy
+    rolls, contact_moment = law.rolls, functions.moment if law.rolls else None
+    moment_energy = functions.moment_energy if rolls else None
     wall_touch = contact_functions(scalar).wall_touch
     surface_touch = surface_touch_function(scalar)
     xyz = vector_functions(scalar).xyz
@@ -198,9 +200,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
                         spheres.spin[i],
                         dt,
                     )
-                    f, new_history, lost = contact_force(
-                        parameters[row + walls.table[w].material], touch, slots.history[i, slot], dt
-                    )
+                    p = parameters[row + walls.table[w].material]
+                    f, new_history, lost = contact_force(p, touch, slots.history[i, slot], dt)
                     slots.history[i, slot] = new_history
                     if slot < WALL_BITS:
                         now = now | (1 << slot)
@@ -208,12 +209,23 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
                     total_force += f
                     total_moment += wp.cross((radius + gap) * n, f)
                     m = wp.cross(point - walls.position[w], -f)
+                    if wp.static(rolls):
+                        turning = walls.spin[w] - spheres.spin[i]
+                        held_back, rolled, lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
+                        slots.rolling[i, slot] = rolled
+                        total_lost += wp.float64(lost)
+                        total_moment += held_back
+                        m = m - held_back
                 elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
                     if wp.static(dissipation):
                         touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
                         p = parameters[row + walls.table[w].material]
                         total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
+                        if wp.static(rolls):
+                            total_lost += wp.float64(moment_energy(p, touch, slots.rolling[i, slot]))
                     slots.history[i, slot] = t.vec3()
+                    if wp.static(rolls):
+                        slots.rolling[i, slot] = t.vec3()
             if wp.static(half):
                 if touches:
                     add_to_wall(walls.step_force, part, w, -f, m, scale)

@@ -17,7 +17,8 @@ from ..common.types import types, vector_functions
 
 @functools.cache
 def contact_functions(scalar):
-    """The struct ``Touch`` and functions for laws: ``shear_spring``, ``sphere_touch``, ``wall_touch``."""
+    """The struct ``Touch`` and functions for laws: ``shear_spring``, ``plane_spring``, ``sphere_touch``,
+    ``wall_touch``."""
     t = types(scalar)
     rotated_with_normal = vector_functions(scalar).rotated_with_normal
 
@@ -93,4 +94,27 @@ def contact_functions(scalar):
             lost = half * wp.dot(old + new, trial - new) / stiffness
         return new, slips, lost
 
-    return SimpleNamespace(Touch=Touch, sphere_touch=sphere_touch, wall_touch=wall_touch, shear_spring=shear_spring)
+    @wp.func
+    def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
+        """The same of a spring that grows with something else, whose `rate` lies in the contact plane."""
+        overlap = wp.max(-touch.gap, scalar(0.0))
+        loading = dt
+        closing = -wp.dot(touch.velocity, touch.normal) * dt
+        if closing > overlap:
+            loading = dt * overlap / closing
+        old = rotated_with_normal(history, touch.normal, touch.twist)
+        trial = old + (stiffness * loading) * rate
+        square = wp.length_sq(trial)
+        slips = square > limit * limit
+        new = trial
+        if slips:
+            new = trial * (limit / wp.sqrt(square))
+        lost = scalar(0.0)
+        if stiffness > scalar(0.0):
+            lost = scalar(0.5) * wp.dot(old + new, trial - new) / stiffness
+        return new, slips, lost
+
+    return SimpleNamespace(
+        Touch=Touch, sphere_touch=sphere_touch, wall_touch=wall_touch, shear_spring=shear_spring,
+        plane_spring=plane_spring,
+    )  # fmt: skip

@@ -28,7 +28,7 @@ def mark_function(scalar):
 
 
 @functools.cache
-def linking_kernels(scalar, history: bool, bonds: bool, lanes: int):
+def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int):
     """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``, so many `lanes`
     a sphere, to which its entries fall in turn.
     """
@@ -102,6 +102,8 @@ def linking_kernels(scalar, history: bool, bonds: bool, lanes: int):
                 remembers = wp.bool(False)
                 if wp.static(history):
                     remembers = wp.length_sq(pairs.history[row + k]) > scalar(0.0)
+                if wp.static(rolls):
+                    remembers = remembers or wp.length_sq(pairs.rolling[row + k]) > scalar(0.0)
                 if wp.static(bonds):
                     remembers = remembers or pairs.bond[row + k] != 0
                 links.link[p] = wp.vec4i(i - base, j, k, twin)

@@ -103,6 +103,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     Links = links_struct(scalar)
     functions = law.functions(scalar)
     Parameters, contact_energy = functions.Parameters, functions.energy
+    rolls = law.rolls
+    moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
     xyz = vector_functions(scalar).xyz
     read_vec4 = row_functions(scalar).read_vec4
@@ -118,14 +120,21 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         lost = scalar(0.0)
         if wp.static(history):
             if wp.static(dissipation):
-                if wp.length_sq(pairs.history[k]) > scalar(0.0):
+                loaded = wp.length_sq(pairs.history[k]) > scalar(0.0)
+                if wp.static(rolls):
+                    loaded = loaded or wp.length_sq(pairs.rolling[k]) > scalar(0.0)
+                if loaded:
                     touch = sphere_touch(
                         t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), spheres.position[i][3], spheres.position[j][3],
                         spheres.velocity[i][3], spheres.velocity[j][3],
                     )  # fmt: skip
                     row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
                     lost = contact_energy(parameters[row + spheres.material[j]], touch, pairs.history[k])
+                    if wp.static(rolls):
+                        lost += moment_energy(parameters[row + spheres.material[j]], touch, pairs.rolling[k])
             pairs.history[k] = t.vec3()
+            if wp.static(rolls):
+                pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
                 pairs.bond[k] = 0  # may bond again at the next touch
@@ -186,6 +195,8 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     Links = links_struct(scalar)
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
+    rolls = law.rolls
+    contact_moment = functions.moment if rolls else None
     Bond = bond_functions(scalar).Bond
     pair_touch = pair_functions(scalar).pair_touch
     bonded = bonded_function(scalar, healing, dissipation)
@@ -232,6 +243,14 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
                     wp.atomic_add(spheres.broken, i, wp.vec2i(1, 0))
                 else:
                     wp.atomic_add(spheres.broken, i, wp.vec2i(0, 1))
+        if wp.static(rolls):
+            held_back, new_rolling, lost_rolling = contact_moment(
+                parameters[row + read_int(spheres.material, j)], pair.touch, spin_j - spin_i,
+                read_vec3(pairs.rolling, k), dt,
+            )  # fmt: skip
+            write_vec3(pairs.rolling, k, new_rolling)
+            bond_moment = bond_moment + held_back
+            lost += lost_rolling
         turn = wp.cross(pair.touch.normal, total)
         pull(links, k, total, pair.arm_i * turn + bond_moment, lost)
         pull(links, scenes.row[s].pairs + link[3], -total, pair.arm_j * turn - bond_moment, scalar(0.0))

@@ -20,7 +20,7 @@ SAMPLED = wp.constant(16)
 
 
 @functools.cache
-def transfer_kernel(scalar, half: bool, history: bool, bonds: bool, lanes: int = 1):
+def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, lanes: int = 1):
     """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list.
 
     A sphere's entries fall to so many `lanes`, threads of a GPU, in turn.
@@ -72,6 +72,11 @@ def transfer_kernel(scalar, half: bool, history: bool, bonds: bool, lanes: int =
                             pairs.history[k] = old_pairs.history[old]
                         else:
                             pairs.history[k] = t.vec3()
+                    if wp.static(rolls):
+                        if old >= 0:
+                            pairs.rolling[k] = old_pairs.rolling[old]
+                        else:
+                            pairs.rolling[k] = t.vec3()
                     if wp.static(bonds):
                         if old >= 0:
                             pairs.bond[k] = old_pairs.bond[old]

@@ -105,7 +105,7 @@ def surface_functions(scalar) -> SimpleNamespace:
 
 
 @functools.cache
-def merging_functions(scalar) -> SimpleNamespace:
+def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     """Functions that tell contacts of one sphere apart, and one step's from the next's."""
     t = types(scalar)
     Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)
@@ -153,10 +153,12 @@ def merging_functions(scalar) -> SimpleNamespace:
         normals: Vectors,
         gaps: Values,
         histories: Vectors,
+        turnings: Vectors,
         slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3),
         slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3),
+        slot_rolling: wp.array2d(dtype=t.vec3),
     ):
         """Write the contacts of this step to the slots from the `first` on, for the next step."""
         for s in range(MESH_SLOTS):
@@ -165,6 +167,8 @@ def merging_functions(scalar) -> SimpleNamespace:
                 slot_normal[i, first + s] = normals[s]
                 slot_overlap[i, first + s] = -gaps[s]
                 slot_history[i, first + s] = histories[s]
+                if wp.static(rolls):
+                    slot_rolling[i, first + s] = turnings[s]
             else:
                 slot_wall[i, first + s] = -1
 
@@ -178,19 +182,49 @@ def merging_functions(scalar) -> SimpleNamespace:
 
 
 @functools.cache
+def meeting_function(scalar, law):
+    """`meets`: force on a sphere and moment about its centre by a contact with a mesh, moment about the wall's place,
+    what the contact remembers of shear and of rolling, and the energy that it loses.
+    """
+    t = types(scalar)
+    functions, rolls = law.functions(scalar), law.rolls
+    Parameters, contact_force = functions.Parameters, functions.force
+    contact_moment = functions.moment if rolls else None
+    surface_touch = surface_touch_function(scalar)
+
+    @wp.func
+    def meets(
+        p: Parameters, place: t.vec3, wall_velocity: t.vec3, wall_spin: t.vec3, n: t.vec3, gap: scalar, x: t.vec3,
+        radius: scalar, velocity: t.vec4, spin: t.vec3, history: t.vec3, rolling: t.vec3, dt: scalar,
+    ):  # fmt: skip
+        touch, point = surface_touch(place, wall_velocity, wall_spin, n, gap, x, radius, velocity, spin, dt)
+        f, sheared, lost = contact_force(p, touch, history, dt)
+        moment = wp.cross((radius + gap) * n, f)
+        on_wall = wp.cross(point - place, -f)
+        rolled = t.vec3()
+        if wp.static(rolls):
+            held_back, rolled, lost_rolling = contact_moment(p, touch, wall_spin - spin, rolling, dt)
+            moment = moment + held_back
+            on_wall = on_wall - held_back
+            lost += lost_rolling
+        return f, moment, on_wall, sheared, rolled, lost
+
+    return meets
+
+
+@functools.cache
 def mesh_parts(scalar, law) -> SimpleNamespace:
     """What a mesh kernel is made of: types and functions of meshes, of merging, of walls, and of a contact law."""
     structs, functions = array_structs(scalar), law.functions(scalar)
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
-        **vars(merging_functions(scalar)),
+        **vars(merging_functions(scalar, law.rolls)),
         Wall=wall_struct(scalar),
         Scenes=structs.Scenes,
         Spheres=structs.Spheres,
         Candidates=structs.Candidates,
         Parameters=functions.Parameters,
-        force=functions.force,
-        surface_touch=surface_touch_function(scalar),
+        meets=meeting_function(scalar, law),
         add_to_wall=wall_force_function(scalar),
         xyz=vector_functions(scalar).xyz,
     )
@@ -200,40 +234,27 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
 def mesh_kernel(scalar, law, half: bool, dissipation: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
-    parts = mesh_parts(scalar, law)
+    parts, rolls = mesh_parts(scalar, law), law.rolls
     span = SPAN if half else 1
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # model
-        wall_parameters: wp.array(dtype=parts.Parameters),
-        corners: wp.array(dtype=t.vec3),
-        faces: wp.array2d(dtype=wp.int32),
-        across: wp.array2d(dtype=wp.int32),
-        ring_start: wp.array(dtype=wp.int32),
-        ring: wp.array(dtype=wp.int32),
-        face_wall: wp.array(dtype=wp.int32),
-        wall_table: wp.array(dtype=parts.Wall),
+        wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
+        faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
+        ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
         # chunk
-        first: wp.int32,
-        last: wp.int32,
-        part: wp.int32,
+        first: wp.int32, last: wp.int32, part: wp.int32,
         # state, read
-        scenes: parts.Scenes,
-        candidates: parts.Candidates,
-        wall_position: wp.array(dtype=t.vec3),
-        wall_orientation: wp.array(dtype=t.quat),
-        wall_velocity: wp.array(dtype=t.vec3),
+        scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
+        wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
         # state, read and written
-        flags: wp.array2d(dtype=wp.int32),
-        spheres: parts.Spheres,
-        slot_wall: wp.array2d(dtype=wp.int32),
-        slot_normal: wp.array2d(dtype=t.vec3),
-        slot_overlap: wp.array2d(dtype=scalar),
-        slot_history: wp.array2d(dtype=t.vec3),
+        flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
+        slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
+        slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
         wall_step_force: wp.array3d(dtype=wp.int64),
-    ):
+    ):  # fmt: skip
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
             scene = spheres.scene[i]
@@ -285,11 +306,13 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool):
                             normals[place] = n
                             gaps[place] = gap
             histories = parts.Vectors()
+            turnings = parts.Vectors()
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
                 # History belongs to the old contact on this wall with the nearest normal.
                 history = t.vec3()
+                rolling = t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))
                 for o in range(MESH_SLOTS):
                     if slot_wall[i, analytic + o] == w - first_wall:
@@ -297,18 +320,21 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool):
                         if c > best:
                             best = c
                             history = slot_history[i, analytic + o]
-                touch, point = parts.surface_touch(
-                    wall_position[w], wall_velocity[w], wall_spin[w], n, gaps[s], x, radius, velocity, spin, dt
-                )
-                f, new_history, lost = parts.force(wall_parameters[row + wall_table[w].material], touch, history, dt)
-                histories[s] = new_history
+                            if wp.static(rolls):
+                                rolling = slot_rolling[i, analytic + o]
+                f, moment, m, sheared, rolled, lost = parts.meets(
+                    wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
+                    gaps[s], x, radius, velocity, spin, history, rolling, dt,
+                )  # fmt: skip
+                histories[s] = sheared
+                turnings[s] = rolled
                 total_lost += wp.float64(lost)
                 total_force += f
-                total_moment += wp.cross((radius + gaps[s]) * n, f)
-                parts.add_to_wall(wall_step_force, part, w, -f, wp.cross(point - wall_position[w], -f), scale)
+                total_moment += moment
+                parts.add_to_wall(wall_step_force, part, w, -f, m, scale)
             parts.keep_contacts(
-                i, analytic, first_wall, found, owners, normals, gaps, histories, slot_wall, slot_normal, slot_overlap,
-                slot_history,
+                i, analytic, first_wall, found, owners, normals, gaps, histories, turnings, slot_wall, slot_normal,
+                slot_overlap, slot_history, slot_rolling,
             )  # fmt: skip
             spheres.force[i] = spheres.force[i] + total_force
             spheres.moment[i] = spheres.moment[i] + total_moment

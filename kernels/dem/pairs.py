@@ -89,6 +89,8 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
     functions = law.functions(scalar)
     Parameters = functions.Parameters
     contact_energy = functions.energy
+    rolls = law.rolls
+    moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
 
     @wp.func
@@ -111,14 +113,21 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 entry = pairs.other[k]
                 j = base + decode(entry)
                 counts = entry >= 0 or (j >= first and j < last)
-                if wp.length_sq(pairs.history[k]) > scalar(0.0) and counts:
+                loaded = wp.length_sq(pairs.history[k]) > scalar(0.0)
+                if wp.static(rolls):
+                    loaded = loaded or wp.length_sq(pairs.rolling[k]) > scalar(0.0)
+                if loaded and counts:
                     touch = sphere_touch(
                         t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, spheres.position[j][3], mass,
                         spheres.velocity[j][3],
                     )  # fmt: skip
                     p = parameters[row + spheres.material[j]]
                     lost += wp.float64(contact_energy(p, touch, pairs.history[k]))
+                    if wp.static(rolls):
+                        lost += wp.float64(moment_energy(p, touch, pairs.rolling[k]))
             pairs.history[k] = t.vec3()
+            if wp.static(rolls):
+                pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
                 pairs.bond[k] = 0  # may bond again at the next touch
@@ -281,6 +290,8 @@ def touching_function(scalar, law, history: bool, bonds: bool, healing: bool, di
     Spheres, Pairs = structs.Spheres, structs.Pairs
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
+    rolls = law.rolls
+    contact_moment = functions.moment if rolls else None
     Bond = bond_functions(scalar).Bond
     pair_touch = pair_functions(scalar).pair_touch
     bonded, count_broken = bonded_function(scalar, healing, dissipation), broken_function(scalar)
@@ -321,6 +332,15 @@ def touching_function(scalar, law, history: bool, bonds: bool, healing: bool, di
                 total, bond_moment, lost, outcome = bonded(
                     pairs, bond_parameters, first_bond, k, pair, sign * (spin_j - spin_i), total, lost, dt
                 )
+            if wp.static(rolls):
+                held_back, new_rolling, lost_rolling = contact_moment(
+                    pair_parameters[row + read_int(spheres.material, j)], pair.touch, sign * (spin_j - spin_i),
+                    read_vec3(pairs.rolling, k), dt,
+                )  # fmt: skip
+                write_vec3(pairs.rolling, k, new_rolling)
+                bond_moment = bond_moment + held_back
+                lost += lost_rolling
+            if wp.static(bonds):
                 if outcome < 0 and own:
                     count_broken(spheres, i, outcome)
             if wp.static(dissipation):

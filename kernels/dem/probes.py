@@ -157,6 +157,8 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     functions = law.functions(scalar)
     Parameters, pair_energy, pair_force = functions.Parameters, functions.energy, functions.force
+    rolls = law.rolls
+    moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
     Bond, bond_energy = bond_functions(scalar).Bond, bond_functions(scalar).bond_energy
     xyz = vector_functions(scalar).xyz
@@ -209,6 +211,9 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
                 held = pairs.history[k]
             touch = sphere_touch(n, -middle, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
             values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(pair_energy(p, touch, held))
+            if wp.static(rolls):
+                turned = moment_energy(p, touch, pairs.rolling[k])
+                values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(turned)
         if wp.static(bonds):
             kind = pairs.bond[k]
             if kind > 0:
@@ -235,6 +240,8 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
     PairParameters = pair_law.functions(scalar).Parameters
     WallParameters, wall_energy = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).energy
     Bond = bond_functions(scalar).Bond
+    rolls = wall_law.rolls
+    wall_moment_energy = wall_law.functions(scalar).moment_energy if rolls else None
     measure_pair = pair_probe_function(scalar, pair_law, history, bonds)
     wall_touch = contact_functions(scalar).wall_touch
     shape = wall_functions(scalar)
@@ -313,6 +320,8 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                     touch = wall_touch(n, -middle, t.vec3(), zero, radius, spheres.velocity[i][3])
                     p_wall = wall_parameters[material + walls.table[w].material]
                     stored = wall_energy(p_wall, touch, slots.history[i, slot])
+                    if wp.static(rolls):
+                        stored += wall_moment_energy(p_wall, touch, slots.rolling[i, slot])
                     values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(stored)
 
     return measure_contacts

@@ -123,6 +123,7 @@ def array_structs(scalar) -> SimpleNamespace:
     class Slots:
         touching: wp.array(dtype=wp.int32)  # a bit for each plane or pipe touched in the last step, shape (spheres,)
         history: wp.array2d(dtype=t.vec3)  # of a contact with a wall: planes and pipes, then meshes, (spheres, slots)
+        rolling: wp.array2d(dtype=t.vec3)  # moment of a contact's spring against rolling [N m], (spheres, slots)
         normal: wp.array2d(dtype=t.vec3)  # of mesh contacts, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # of mesh contacts [m], (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # of mesh contacts, -1 for none, (spheres, slots)
@@ -132,6 +133,7 @@ def array_structs(scalar) -> SimpleNamespace:
         start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
         other: wp.array(dtype=wp.int32)  # the other sphere j, or -1 - j if j has the lower number, shape (pairs,)
         history: wp.array(dtype=t.vec3)  # of the contact, for springs the shear force [N], shape (pairs,)
+        rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
         bond: wp.array(dtype=wp.int32)  # kind of bond, 0 for none, below 0 broken, shape (pairs,)
         bond_force: wp.array(dtype=t.vec4)  # shear vector and tension [N], shape (pairs,)
         bond_moment: wp.array(dtype=t.vec4)  # bending vector and torsion [N m], shape (pairs,)

@@ -39,8 +39,34 @@ def list_scenes() -> None:
         click.echo(f"{name:12s} {(inspect.getdoc(module) or '').partition(chr(10))[0]}")
 
 
+def _by_method(arguments: list[str]) -> list[str]:
+    """Words of a command without `--method NAME`, which says the scene's name in full: `slump --method dem` is
+    `slump-dem`.
+    """
+    left, method = [], None
+    words = iter(arguments)
+    for word in words:
+        name, given, value = word.partition("=")
+        if name != "--method":
+            left.append(word)
+        elif method is not None or not (value := value if given else next(words, "")):
+            raise click.UsageError("--method: takes one value")
+        else:
+            method = value
+    if method is None:
+        return left
+    place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
+    if place is None:
+        raise click.UsageError("--method: belongs to a scene, as in 'slump --method dem'")
+    left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
+    return left
+
+
 class LazyGroup(click.Group):
     """Words of the command whose options are made when they are used."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, _by_method(args))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_scenes())
@@ -64,7 +90,8 @@ class LazyGroup(click.Group):
 @click.option("--quiet", is_flag=True, help="with --resume: no progress bar")
 @click.pass_context
 def run_group(context: click.Context, resume: Path | None, live: str | None, quiet: bool) -> None:
-    """Run a scene: `warpcrete run SCENE [options]`, repeat one: `warpcrete run RUN/scene.json`, or go on with an
+    """Run a scene: `warpcrete run SCENE [options]` (`slump --method dem` is `slump-dem`), repeat one: `warpcrete run
+    RUN/scene.json`, or go on with an
     interrupted one: `warpcrete run --resume RUN`.
 
     Exits with 0 if the run is finished and passes its checks, 1 if it became unstable, 2 for bad input, 3 if a check
@@ -201,7 +228,7 @@ def study_command(arguments: tuple[str, ...]) -> None:
     if not arguments or "--help" in arguments:
         click.echo(STUDY_HELP.replace("\b\n", ""))
         raise SystemExit(0 if arguments else 2)
-    _part("study").run(list(arguments), _scenes())
+    _part("study").run(_by_method(list(arguments)), _scenes())
 
 
 TRADE_HELP = f"""Speed against accuracy of a scene, measured: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
@@ -230,7 +257,46 @@ def trade_command(arguments: tuple[str, ...]) -> None:
     if not arguments or "--help" in arguments:
         click.echo(TRADE_HELP.replace("\b\n", ""))
         raise SystemExit(0 if arguments else 2)
-    _part("trade").run(list(arguments), _scenes())
+    _part("trade").run(_by_method(list(arguments)), _scenes())
+
+
+CALIBRATE_HELP = f"""From what was measured to a concrete's parameters: `warpcrete calibrate TARGETS.yaml [options]`.
+
+The file names quantities of scenes with their values and uncertainties, and parameters with the range of each. Runs go
+where the answer may lie, until more of them would not change it. The folder holds calibration.md and calibration.png
+(what the data allow, and what they do not tell), answer.json, concrete.yaml (for --concrete), and all runs.
+
+\b
+  vary:
+    viscosity: [10, 100]
+    yield_stress: [20, 200]
+  targets:
+    - {{scene: slump, parameters: {{concrete: own, density: 2350}}, quantity: spread, value: 0.55, uncertainty: 2%}}
+    - {{scene: funnel, parameters: {{concrete: own, density: 2350}}, quantity: funnel_time, value: 9, uncertainty: 5%}}
+    - {{scene: slump, parameters: {{concrete: own, density: 2350}}, quantity: t500, value: 4, uncertainty: 10%,
+       held_out: true}}
+
+\b
+  --trials N             at most, each of which runs every scene once    [default: 10 and 10 for each parameter]
+  --batch N              at a time                                       [default: 4 and 2 for each parameter]
+  --repeat N             seeds with which the answer is tried in the end [default: 3]
+  --seed N               of the search                                   [default: 0]
+  --out FOLDER           new folder                                      [default: runs/calibration-NNN]
+  --resume FOLDER        go on with a calibration, also with more --trials: runs that are there are used
+  --device, --precision, --processes   as for study
+{ON_WORKERS}  --quiet                no progress bar
+
+Exits with 2 for bad input, with 130 if it was interrupted. Needs pip install 'warpcrete[calibrate]'.
+"""
+
+
+@cli.command("calibrate", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=CALIBRATE_HELP)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def calibrate_command(arguments: tuple[str, ...]) -> None:
+    if not arguments or "--help" in arguments:
+        click.echo(CALIBRATE_HELP.replace("\b\n", ""))
+        raise SystemExit(0 if arguments else 2)
+    _part("calibrate").run(list(arguments), _scenes())
 
 
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
@@ -251,7 +317,7 @@ def explain_command(arguments: tuple[str, ...]) -> None:
     if not arguments or "--help" in arguments:
         click.echo(EXPLAIN_HELP.replace("\b\n", ""))
         raise SystemExit(0 if arguments else 2)
-    _part("explain").run(list(arguments), _scenes())
+    _part("explain").run(_by_method(list(arguments)), _scenes())
 
 
 def main() -> None:

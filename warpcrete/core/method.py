@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,8 @@ class Method:
     """What a run of a scene will take, of (scene, device, precision, threads, probe of a prepared simulation)."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Runs simulations of one device, each from its checkpoint if it has one; what each came to, or its error."""
+    expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
+    """Quantities of a scene by closed forms, before it runs; those that have none are left out."""
 
     @property
     def scene_type(self) -> type:

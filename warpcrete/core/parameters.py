@@ -178,6 +178,11 @@ class Declared:
             field.check(value, shown)
 
     @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """Section of a concrete's file that holds parameters of this kind, and which of them it may hold."""
+        return "", ()
+
+    @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Parameters that those given imply, where they are not given themselves."""
         return {}

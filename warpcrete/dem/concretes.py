@@ -8,21 +8,19 @@ from typing import Any
 
 from ..core.concretes import NamedConcrete, concrete, known_only
 from ..core.errors import refuse
-from ..core.parameters import declared_fields
 
 COVERAGE = 1.3
 """Area on which a lubrication layer acts (pi r^2 of every contact with the wall, which overlap) over that of the wall,
 of concrete with the contacts of Zhan's Table 1 packed to a kilopascal; measured by `tests/bench_layer.py`."""
 
 
-def elements_of(values: Mapping[str, Any], groups: Sequence[type], default: str) -> dict[str, Any]:
+def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
     """Parameters of discrete elements that the concrete among `values` stands for.
 
-    `groups` are the dataclasses whose fields a concrete may set, `default` the concrete's name where none is given. A
+    `known` are those that a concrete may set, `default` the concrete's name where none is given. A
     concrete of which all of these are given is not looked up: a run's record says everything itself. Raises
     :class:`SceneError` for a concrete that does not exist, or sets anything else.
     """
-    known = [name for group in groups for name in declared_fields(group)]
     name = values.get("concrete", default)
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or all(each in values for each in known):

@@ -161,9 +161,12 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
 
 def subcycled(scene: Scene) -> bool:
     """Whether hydrated bonds are stepped in rounds of their own: they are there, much stiffer than all else, and
-    nobody asked for single steps. Local damping goes by the sum of all forces, which no part of a step knows."""
+    nobody asked for single steps. Local damping goes by the sum of all forces, which no part of a step knows; rounds
+    know no resistance to rolling."""
     hydration, rounds = scene.hydration, scene.time_step.rounds
     if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
+        return False
+    if scene.contact.rolls or any(c.rolls for c in scene.contacts.values()):
         return False
     laws = [c.stress_scale for c in (scene.contact, *scene.contacts.values())]
     others = [b.effective_modulus for b in (scene.bonds, *scene.group_bonds.values())]

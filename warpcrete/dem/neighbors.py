@@ -256,7 +256,7 @@ class NeighborLists:
         chunks = list(pairwise(b.sphere_chunks.tolist()))
         lists = list_kernels(b.scalar)
         lanes = 1 if f.half_list else OCTANTS
-        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.bonds, lanes)
+        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, lanes)
         cells = {"grid": self._cells.grid.id, "shift": self._cells.shift}
         before = {"old_pairs": self._old, "old_place": old_place, "stretched": self._stretched}
         if f.half_list:
@@ -299,7 +299,7 @@ class NeighborLists:
             clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
         )  # fmt: skip
         if not f.half_list:
-            linking = linking_kernels(b.scalar, f.history, f.bonds, OCTANTS)
+            linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, OCTANTS)
             launches.links = [
                 b.stage(linking.clear_links, len(b.links.link), block=block_size(n)),
                 b.stage(linking.count_own, n, count=self._count),

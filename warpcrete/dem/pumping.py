@@ -12,7 +12,7 @@ from ..core.concretes import is_file
 from ..core.device import PRECISIONS
 from ..core.errors import refuse
 from ..core.knobs import Knob, Level, precisions, scaled
-from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within
+from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within, declared_fields
 from .concretes import elements_of
 from .laws.linear import DASHPOTS
 from .scene import MUCH_STIFFER
@@ -187,8 +187,13 @@ class PipeParameters(
     """Concrete, one pipe unit, and what pumps it."""
 
     @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        groups = (AggregateParameters, ContactParameters, BondParameters)
+        return "elements", tuple(name for group in groups for name in declared_fields(group))
+
+    @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        return elements_of(values, (AggregateParameters, ContactParameters, BondParameters), cls.concrete)
+        return elements_of(values, cls.of_concrete()[1], cls.concrete)
 
     def __post_init__(self) -> None:
         super().__post_init__()

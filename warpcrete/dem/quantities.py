@@ -11,6 +11,7 @@ from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number
 from ..geometry.walls import Wall
+from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
@@ -157,6 +158,7 @@ def _level(of):
 
 
 QUANTITIES = (
+    *OF_VESSELS,
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
              _peak_words, True),
     Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
@@ -178,6 +180,9 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words
         yield "pressure at the end", f"{end / 1e3:.2f} kPa"
+    vessel = run.scene.vessel
+    if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
+        yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
     packing = run.packing  # type: ignore[attr-defined]
     if packing:
         yield (

@@ -75,11 +75,14 @@ def state_hash(state: State) -> str:
     chosen = place[kept][ranks]
     if features.history:
         digest.update(state.pairs.history.numpy()[chosen].tobytes())
+    if features.pair_law.rolls:
+        digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
     if features.bonds:
         for array in (state.pairs.bond, state.pairs.bond_force, state.pairs.bond_moment):
             digest.update(array.numpy()[chosen].tobytes())
     by_sphere = np.argsort(ids)
-    for array in (state.slots.history, state.slots.normal, state.slots.overlap, state.slots.wall):
+    slots = state.slots
+    for array in (slots.history, slots.rolling, slots.normal, slots.overlap, slots.wall):
         if len(array) == 0:
             continue
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())

@@ -11,6 +11,8 @@ from ..geometry.rotation import rotate
 from ..geometry.walls import Wall
 from ..kernels.dem.probes import FORCE, IMPULSE, TRAVEL, TURN, WORK
 from ..kernels.dem.structs import DT, DT_PREVIOUS, TIME
+from .measures import UNITS as MEASURED
+from .measures import measured
 from .model import Model
 from .probes import both_sums
 from .state import State
@@ -36,6 +38,7 @@ UNITS = {
     "deepest_overlap": "1",
     "time_step": "s",
     "reach": "m",
+    **MEASURED,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
 """Of columns that end in an axis."""
@@ -124,6 +127,8 @@ class Sampler:
             "time_step": float(clock[int(DT)]),
             "reach": bodies.reach,
         }
+        if scene.vessel is not None and state.sphere_count:
+            row |= measured(scene.vessel, state.spheres.position.numpy(), state.spheres.velocity.numpy())
         for axis, letter in enumerate(AXES):
             row[f"momentum_{letter}"] = float(bodies.momentum[axis])
             row[f"drive_{letter}"] = float(bodies.drive_force[axis])

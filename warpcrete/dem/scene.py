@@ -23,13 +23,19 @@ from .laws import Contact, ContactLaw
 __all__ = [
     "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
     "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Wall", "Watch",
+    "Vessel", "Wall", "Watch",
 ]  # fmt: skip
 
 
 MUCH_STIFFER = 200.0
 """Modulus of hydrated bonds over all others from which on rounds within a step pay: at 100 they take as long as single
 steps."""
+VESSELS = {
+    "slump": ("top_diameter", "mould_height"),
+    "funnel": ("outlet_width", "breadth", "whole_height"),
+    "lbox": ("column_width", "length", "width"),
+}
+"""Tests, and the dimensions that the measurements of each go by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +233,28 @@ class PipeUnit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Vessel:
+    """A vessel that fresh concrete is tested with: what measurements and checks of it need."""
+
+    test: str
+    """Whose outcome is measured, of VESSELS."""
+    opened: float
+    """When nothing holds the concrete back any more [s]."""
+    rest_speed: float
+    """At rest: the fastest of the main body goes slower than this, and did for a second [m/s]."""
+    dimensions: Mapping[str, float]
+    """Of the vessel, that measurements go by [m]."""
+
+    def __post_init__(self) -> None:
+        one_of("test", self.test, VESSELS)
+        between("opened", self.opened, 0, np.inf, "s")
+        positive("rest_speed", self.rest_speed, "m/s")
+        missing = [name for name in VESSELS[self.test] if name not in self.dimensions]
+        if missing:
+            refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Published:
     """What a publication reports for a scene, to be shown beside ours."""
 
@@ -275,6 +303,7 @@ class Scene:
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
+    vessel: Vessel | None = None
     published: Published | None = None
     remarks: tuple[str, ...] = ()
     """What the scene simplifies, to be told before a run."""

@@ -15,6 +15,7 @@ from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
 from .bodies import BodyTable, placed_bodies
 from .display import ElementDisplay
+from .measures import at_rest, is_over
 from .memory import check_memory
 from .model import build_model
 from .packing import PackingReport, pack
@@ -225,6 +226,11 @@ class ElementSimulation(Simulation):
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
         self.watch(row)
 
+    def ended_early(self) -> bool:
+        """Concrete in a vessel has come to rest, or flowed out."""
+        vessel = self.scene.vessel
+        return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
+
     def result(self, finished: bool) -> ElementRun:
         """The run as it is now, with its quantities."""
         series = self.sampler.series()
@@ -242,6 +248,8 @@ class ElementSimulation(Simulation):
         if self.scene.pipe is not None:
             result["unit"] = self.scene.pipe.name
             result["concrete_length"] = quantity(self.scene.pipe.concrete_length, "m")
+        if self.scene.vessel is not None:
+            result["at_rest"] = bool(self.rows) and state.sphere_count > 0 and at_rest(self.scene.vessel, self.rows)
         if self.packing is not None:
             result["packing"] = asdict(self.packing)
         if self.rows:

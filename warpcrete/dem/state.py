@@ -172,6 +172,7 @@ class State:
             "slots",
             touching=n if walls else 0,
             history=(n, slots),
+            rolling=(n if walls and model.features.wall_law.rolls else 0, slots),
             normal=(meshed, slots),
             overlap=(meshed, slots),
             wall=np.full((meshed, slots), -1) if meshed else (0, slots),
@@ -274,14 +275,15 @@ class State:
         )
 
 
-PAIR_ARRAYS = ("other", "history", "bond", "bond_force", "bond_moment")
+PAIR_ARRAYS = ("other", "history", "rolling", "bond", "bond_force", "bond_moment")
 """Arrays of `pairs` that have an entry for each listed pair."""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
     """Size of an entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
-    used = {"other": True, "history": f.history, "bond": f.bonds, "bond_force": f.bonds, "bond_moment": f.bonds}
+    used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
+    used |= dict.fromkeys(("bond", "bond_force", "bond_moment"), f.bonds)
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 

@@ -53,6 +53,11 @@ class ConcreteParameters:
     slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]"] = 0.0
 
     @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """As of every declared dataclass."""
+        return "flow", CONSTANTS
+
+    @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """A file's constants: a run's record holds them, however the file changes."""
         return file_constants(values)

@@ -4,7 +4,7 @@ from ..core.method import Method
 from .display import FlowDisplay
 from .forecast import forecast
 from .pictures import draw, plot_flow
-from .quantities import QUANTITIES, report
+from .quantities import QUANTITIES, expected, report
 from .simulation import FluidSimulation
 from .stepping import run_abreast
 
@@ -19,4 +19,5 @@ METHOD = Method(
     report=report,
     forecast=forecast,
     run_many=run_abreast,
+    expected=expected,
 )

@@ -51,6 +51,12 @@ class Known:
         return (self.mean(name) - self.by_theory(name)) / size
 
 
+def expected(scene: FluidScene) -> dict[str, float]:
+    """What theory says of the steady flow."""
+    theory = scene.theory()
+    return {name: float(getattr(theory, name)) for name in UNITS}
+
+
 def _largest(values: np.ndarray) -> float:
     return float(values[np.argmax(np.abs(values))])
 

@@ -113,7 +113,7 @@ class Study:
             lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
         return "\n".join(lines)
 
-    def write(self) -> None:
+    def write(self, figure: bool = True) -> None:
         """Table as Markdown and CSV, and the figure, of what there is."""
         rows = self.rows()
         units = {each.name: each.unit for each in self.quantities}
@@ -125,7 +125,7 @@ class Study:
             writer.writerows([[row.get(name, "") for name in names] for row in rows])
         with whole_file(self.folder / "study.md") as partial:
             partial.write_text(f"{self.table()}\n")
-        if self.results:
+        if figure and self.results:
             with whole_file(self.folder / "study.png") as partial:
                 draw(self).savefig(partial, dpi=150, format="png")
 
@@ -175,7 +175,32 @@ def run_study(
     cases = cases_of(
         given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
     )
-    cases = _meaningful(module.scene, cases)
+    return run_listed(
+        scene_name, module, _meaningful(module.scene, cases), out=out, device=device, precision=precision,
+        processes=processes, frames=frames, checkpoint_every=checkpoint_every, scheduler=scheduler, workers=workers,
+        progress=progress, **recorders,
+    )  # fmt: skip
+
+
+def run_listed(
+    scene_name: str,
+    module: Any,
+    cases: Sequence[Case],
+    *,
+    out: Path,
+    device: str | None = None,
+    precision: str = "float32",
+    processes: int | None = None,
+    frames: float = 25.0,
+    checkpoint_every: float = 60.0,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    figure: bool = True,
+    **recorders: bool,
+) -> Study:
+    """Run a study of cases that stand in a list, with or without a figure; see :func:`run_study`."""
+    cases = list(cases)
     positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     for place, case in enumerate(cases):
@@ -185,7 +210,7 @@ def run_study(
         cases[place] = replace(case, parameters={name: made.parameters[name] for name in whole})
     check_new(out)
     with open_cluster(scheduler, workers, device) as cluster:
-        seed = int(given.get("seed", 0))
+        seed = int(cases[0].parameters.get("seed", 0))
         if cluster is None:
             here = find_device(device)
             found, made_by = str(here), provenance(here, precision, seed)
@@ -199,6 +224,7 @@ def run_study(
                 "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
                 "device": found,
                 "precision": precision,
+                "figure": figure,
                 "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
                 "provenance": made_by,
             },
@@ -265,7 +291,7 @@ def _go_on(
         elif pending:
             run_in_processes(record, module, folder, pending, processes, book)
     finally:
-        study.write()
+        study.write(record.get("figure", True))
     return study
 
 

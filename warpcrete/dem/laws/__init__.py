@@ -8,5 +8,14 @@ from .hertz_mindlin import HertzMindlin
 from .linear import Contact
 from .lubrication import LubricationLayer
 from .mortar import BinghamMortar
+from .rolling import RollingResistance
 
-__all__ = ["BinghamMortar", "Contact", "ContactLaw", "HertzMindlin", "LubricationLayer", "damping_ratio"]
+__all__ = [
+    "BinghamMortar",
+    "Contact",
+    "ContactLaw",
+    "HertzMindlin",
+    "LubricationLayer",
+    "RollingResistance",
+    "damping_ratio",
+]

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
@@ -30,6 +30,9 @@ class ContactLaw(Declared, ABC):
     a law as its own parameters; :class:`OnDevice` says otherwise.
     """
 
+    rolls: ClassVar[bool] = False
+    """Contacts resist rolling; without that neither its memory nor its code is there."""
+
     @classmethod
     @abstractmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Callable]:
@@ -40,6 +43,12 @@ class ContactLaw(Declared, ABC):
         - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] as they are, or soon will be, at the
           touch's closing speed, for the stable time step;
         - `energy(p, touch, history)`: elastic energy [J].
+
+        A law that `rolls` has two more:
+
+        - `moment(p, touch, turning, history, dt)`: of the spin of body b seen from a [rad/s] and a history of its own,
+          the moment on a [N m], the new history, the moment of springs, and the energy lost in the step [J];
+        - `moment_energy(p, touch, history)`: elastic energy of that [J].
         """
 
     @property

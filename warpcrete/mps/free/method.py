@@ -5,7 +5,7 @@ from ..stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast
 from .pictures import draw, plot_free
-from .quantities import QUANTITIES, report
+from .quantities import QUANTITIES, expected, report
 from .simulation import FreeSimulation
 
 METHOD = Method(
@@ -19,4 +19,5 @@ METHOD = Method(
     report=report,
     forecast=forecast,
     run_many=run_abreast,
+    expected=expected,
 )

@@ -186,3 +186,24 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
             yield f"{name}, Xu", f"{1e3 * value:.0f} mm printed (Xu, Li & Jiang 2021)"
     if run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+
+
+def expected(scene: FreeScene) -> dict[str, float]:
+    """What closed forms say of a test; of a slump that of a heap where it is wider than high, else of a tall cone."""
+    known = Known(scene, {}, _volume(scene))
+    closed = {each.name: each.of(known) for each in QUANTITIES if each.name.endswith(("_theory", "_heap"))}
+    found = {
+        "slump": closed["slump_heap"] or closed["slump_theory"],
+        "spread": closed["spread_heap"],
+        "funnel_time": closed["funnel_time_theory"],
+        "passing_ratio": closed["passing_ratio_theory"],
+    }
+    return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def _volume(scene: FreeScene) -> float:
+    """Of the concrete before the test, of a radian, a metre's depth or the depth of the room [m2, m3]."""
+    x, y = np.array(scene.outline, dtype=float).T
+    if scene.axial:  # Pappus, edge by edge
+        return abs(float(np.sum((np.roll(x, -1) ** 2 + np.roll(x, -1) * x + x**2) * (np.roll(y, -1) - y)))) / 6
+    return abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))) / 2 * (scene.depth or 1.0)

@@ -1,0 +1,103 @@
+"""V-funnel: the time in which concrete flows out of it (EN 12350-9), by discrete elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading
+from warpcrete.core.parameters import Above, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.dem.scene import Scene, Vessel
+from warpcrete.dem.vessels import VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.geometry.prisms import prism, rectangle
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+
+FALL = 0.3
+"""From the outlet to the floor [m]: what has run out must not reach the outlet again, nor fall so deep that soft grains
+swallow each other."""
+DOOR_SPEED = 5.0
+"""At which the trap door falls away [m/s]: faster than concrete, which begins at rest."""
+EDGE = 0.01
+"""By which the door is wider than the outlet [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FunnelElements(VesselParameters):
+    """Funnel; its measures are those of EN 12350-9."""
+
+    top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
+    outlet_width: Annotated[float, "[m]", Above()] = 0.065
+    breadth: Annotated[float, "distance of the parallel sides [m]", Above()] = 0.075
+    cone_height: Annotated[float, "of the part that tapers [m]", Above()] = 0.45
+    outlet_height: Annotated[float, "of the straight part below [m]", Above()] = 0.15
+
+
+@scene_function(FunnelElements)
+def scene(parameters: FunnelElements) -> Scene:
+    """A V-funnel full of grains whose outlet opens at once: the time until light is seen through it.
+
+    Light is seen when grains in the funnel darken less than half of the outlet, as seen from above. The trap door falls
+    away at 5 m/s; what has run out lies on a floor 0.3 m below.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    narrowest = min(given.outlet_width, given.breadth)
+    if given.size_max > narrowest / 2:
+        refuse("size_max", given.size_max, "must leave two grains across the outlet",
+               f"take {narrowest / 2:.3g} m or less")  # fmt: skip
+    narrow, brim = given.outlet_width / 2, given.top_width / 2
+    throat, whole = given.outlet_height, given.outlet_height + given.cone_height
+    inside = prism(
+        ((-narrow, 0.0), (narrow, 0.0), (narrow, throat), (brim, whole), (-brim, whole), (-narrow, throat)),
+        given.breadth, (0.0, throat),
+    )  # fmt: skip
+    vertices, faces = rectangle(
+        (-narrow - EDGE, -given.breadth / 2 - EDGE, 0.0), (2 * narrow + 2 * EDGE, 0.0, 0.0),
+        (0.0, given.breadth + 2 * EDGE, 0.0),
+    )  # fmt: skip
+    door = MeshWall(
+        name="door", vertices=vertices, faces=faces, material="mould",
+        motion=Prescribed(velocity=(0.0, 0.0, -DOOR_SPEED)),
+    )  # fmt: skip
+    names = ("outlet_width", "breadth")
+    return Scene(
+        name="funnel-dem",
+        fill=given.fill(inside),
+        walls=(
+            PlaneWall(name="floor", point=(0.0, 0.0, -FALL), normal=(0.0, 0.0, 1.0), material="plate"),
+            MeshWall(name="funnel", vertices=inside.vertices, faces=inside.without(0, 3), material="mould"),
+            door,
+        ),
+        vessel=Vessel(
+            test="funnel",
+            opened=0.0,
+            rest_speed=given.rest_speed,
+            dimensions={name: getattr(given, name) for name in names} | {"whole_height": whole},
+        ),
+        remarks=vessel_remarks(given, "the funnel"),
+        parameters=asdict(given),
+        **given.settings(),
+    )
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a funnel: name -> (passed, what was found)."""
+    time = run.result.get("funnel_time")
+    return found_bad(run) | {
+        "light is seen": (
+            time is not None,
+            f"after {number(time):.2f} s" if time else f"{100 * run.result['remaining']:.0f} % remains",
+        )
+    }
+
+
+def _knobs(given: FunnelElements) -> Iterator[Knob]:
+    return vessel_knobs(given, min(given.outlet_width, given.breadth))
+
+
+trading = Trading(_knobs, quantities=("funnel_time",))

@@ -1,0 +1,100 @@
+"""L-box: how far concrete levels out when a gate opens (EN 12350-10), by discrete elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading
+from warpcrete.core.parameters import Above, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.dem.scene import Scene, Vessel
+from warpcrete.dem.vessels import VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.geometry.prisms import prism, rectangle
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
+
+ABOVE = 0.2
+"""By which walls stand above the concrete [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxElements(VesselParameters):
+    """Box; its measures are those of EN 12350-10, without bars."""
+
+    column_width: Annotated[float, "along the box [m]", Above()] = 0.1
+    column_height: Annotated[float, "of the concrete at the start, before it settles [m]", Above()] = 0.6
+    length: Annotated[float, "of the box, the column included [m]", Above()] = 0.7
+    width: Annotated[float, "[m]", Above()] = 0.2
+    opening: Annotated[float, "height of the gate [m]", Above()] = 0.15
+    lift_time: Annotated[float, "in which the gate is lifted [s]", Above()] = 0.5
+
+
+@scene_function(BoxElements)
+def scene(parameters: BoxElements) -> Scene:
+    """A column of grains that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+
+    The gate rises in front of the column's wall, by the radius of the smallest grain, so that none touches both.
+    `plate_grip` is what holds the concrete on the floor, `mould_grip` on all sides and the gate.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    gate, width, opening, top = given.column_width, given.width, given.opening, given.column_height
+    if given.length < gate + 0.1:
+        refuse("length", given.length, "leaves no box beyond the column", f"take {gate + 0.3:g} m or more")
+    if top < opening + 0.05:
+        refuse("column_height", top, "is that of the column, above the opening", "take 0.6 m")
+    narrowest = min(gate, width, opening)
+    if given.size_max > narrowest / 4:
+        refuse("size_max", given.size_max, "must leave four grains across the column and in the opening",
+               f"take {narrowest / 4:.3g} m or less")  # fmt: skip
+    inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
+    before = 0.5 * given.size_min
+    across = (0.0, 2 * width, 0.0)
+    front = rectangle((gate, -width, opening), across, (0.0, 0.0, top + ABOVE - opening))
+    shut = rectangle((gate + before, -width, -before), across, (0.0, 0.0, opening + 2 * before))
+    lift = Prescribed(velocity=(0.0, 0.0, opening / given.lift_time))
+    planes: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+        "back": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        "end": ((given.length, 0.0, 0.0), (-1.0, 0.0, 0.0)),
+        "left": ((0.0, -width / 2, 0.0), (0.0, 1.0, 0.0)),
+        "right": ((0.0, width / 2, 0.0), (0.0, -1.0, 0.0)),
+    }
+    walls: list[Wall] = [PlaneWall(name="floor", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), material="plate")]
+    walls += [PlaneWall(name=name, point=at, normal=n, material="mould") for name, (at, n) in planes.items()]
+    walls += [
+        MeshWall(name="front", vertices=front[0], faces=front[1], material="mould"),
+        MeshWall(name="gate", vertices=shut[0], faces=shut[1], material="mould", motion=lift),
+    ]
+    return Scene(
+        name="lbox-dem",
+        fill=given.fill(inside),
+        walls=tuple(walls),
+        vessel=Vessel(
+            test="lbox",
+            opened=given.lift_time,
+            rest_speed=given.rest_speed,
+            dimensions={"column_width": gate, "length": given.length, "width": width},
+        ),
+        remarks=vessel_remarks(given, "the box's sides"),
+        parameters=asdict(given),
+        **given.settings(),
+    )
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of an L-box: name -> (passed, what was found)."""
+    speed = number(run.result["rest_speed"])
+    return found_bad(run) | {
+        "at rest": (bool(run.result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+    }
+
+
+def _knobs(given: BoxElements) -> Iterator[Knob]:
+    return vessel_knobs(given, min(given.column_width, given.width, given.opening))
+
+
+trading = Trading(_knobs, quantities=("passing_ratio",))

@@ -1,0 +1,83 @@
+"""Slump and spread of a cone whose mould is lifted (EN 12350-2, EN 12350-8), by discrete elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading
+from warpcrete.core.parameters import Above, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.core.units import number
+from warpcrete.dem.scene import Scene, Vessel
+from warpcrete.dem.vessels import VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.geometry.prisms import truncated_cone
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+
+STRAYS = 0.05
+"""Part of the grains that may have left the heap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlumpElements(VesselParameters):
+    """Mould."""
+
+    top_diameter: Annotated[float, "of the mould [m]", Above()] = 0.1
+    base_diameter: Annotated[float, "of the mould [m]", Above()] = 0.2
+    mould_height: Annotated[float, "[m]", Above()] = 0.3
+    lift_time: Annotated[float, "in which the mould is lifted by its height [s]", Above()] = 3.0
+
+
+@scene_function(SlumpElements)
+def scene(parameters: SlumpElements) -> Scene:
+    """A cone of grains on a plate, whose mould is lifted: slump, spread, T500.
+
+    The mould is a thin shell of 48 facets that rises at an even speed; `mould_grip` is what rubs on it, `plate_grip` on
+    the plate, which has no end. Grains are packed into the closed mould and settle in it, so the concrete is somewhat
+    lower than the mould when that is lifted (`fill_height`); the slump is counted from there.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
+    narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
+    if given.size_max > narrowest / 4:
+        refuse("size_max", given.size_max, "must leave four grains across the mould",
+               f"take {narrowest / 4:.3g} m or less")  # fmt: skip
+    lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
+    return Scene(
+        name="slump-dem",
+        fill=given.fill(cone),
+        walls=(
+            PlaneWall(name="plate", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), material="plate"),
+            MeshWall(name="mould", vertices=cone.vertices, faces=cone.sides, material="mould", motion=lift),
+        ),
+        vessel=Vessel(
+            test="slump",
+            opened=given.lift_time,
+            rest_speed=given.rest_speed,
+            dimensions={"top_diameter": given.top_diameter, "mould_height": given.mould_height},
+        ),
+        remarks=vessel_remarks(given, "the mould"),
+        parameters=asdict(given),
+        **given.settings(),
+    )
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a slump: name -> (passed, what was found)."""
+    result = run.result
+    speed, strays = number(result["rest_speed"]), result["strays"]
+    return found_bad(run) | {
+        "one heap": (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left it"),
+        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+    }
+
+
+def _knobs(given: SlumpElements) -> Iterator[Knob]:
+    return vessel_knobs(given, min(given.top_diameter, given.mould_height))
+
+
+trading = Trading(_knobs, quantities=("slump", "spread"))

@@ -1,0 +1,297 @@
+"""Tests of concrete in vessels by discrete elements: rolling resistance, what is measured of a heap, scenes."""
+
+import dataclasses
+import json
+import math
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import by_id
+from test_contacts import DENSITY, MASS, NO_GRAVITY, RADIUS
+
+from warpcrete import SceneError, Simulation, scenes
+from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.dem import heaps, measures
+from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.laws import BinghamMortar, Contact, RollingResistance
+from warpcrete.dem.model import build_model
+from warpcrete.dem.probes import body_sums, contact_sums
+from warpcrete.dem.scene import Bodies, Scene, TimeStep, Vessel
+from warpcrete.dem.state import State
+from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.vessels import sheared
+from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
+from warpcrete.geometry.walls import MeshWall, PlaneWall
+
+MU_ROLLING = 0.2
+STIFF = Contact(effective_modulus=1e6, friction=0.8, normal_damping_ratio=0.3, shear_damping_ratio=0.3)
+LAW = RollingResistance(contact=STIFF, rolling_friction=MU_ROLLING, rolling_damping_ratio=0.3)
+
+
+def incline(slope, law, mesh=False):
+    """A sphere on a floor, under a gravity that leans by this tangent."""
+    angle = math.atan(slope)
+    floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+    if mesh:
+        vertices, faces = rectangle((-1, -1, 0), (2, 0, 0), (0, 2, 0))
+        floor = MeshWall(name="floor", vertices=vertices, faces=faces)
+    sunk = MASS * 9.81 * math.cos(angle) / (1e6 * math.pi * RADIUS)
+    return Scene(
+        name="incline", duration=1.0, contact=law, walls=(floor,),
+        gravity=(9.81 * math.sin(angle), 0, -9.81 * math.cos(angle)),
+        bodies=(Bodies(positions=[[0, 0, RADIUS - sunk]], sizes=2 * RADIUS, density=DENSITY),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_a_sphere_rolls_only_where_the_slope_exceeds_rolling_friction(start, mesh):
+    """Below, it stands; above, m a = m g sin - F and 2/5 m R^2 a/R = F R - mu_r R N: a = 5/7 g cos (tan - mu_r)."""
+    below = start(incline(0.97 * MU_ROLLING, LAW, mesh))
+    below.advance(0.6)
+    assert np.abs(by_id(below.state, "velocity")).max() < 1e-6
+    above = start(incline(1.03 * MU_ROLLING, LAW, mesh))
+    above.advance(0.3)
+    before = by_id(above.state, "velocity")[0, 0]
+    above.advance(0.6)
+    speed = by_id(above.state, "velocity")[0, 0] - before
+    expected = 5 / 7 * 9.81 * math.cos(math.atan(1.03 * MU_ROLLING)) * 0.03 * MU_ROLLING * 0.3
+    assert speed == pytest.approx(expected, rel=2e-2)
+    assert by_id(above.state, "spin")[0, 1] == pytest.approx(by_id(above.state, "velocity")[0, 0] / RADIUS, rel=1e-2)
+    free = start(incline(0.5 * MU_ROLLING, STIFF, mesh))
+    free.advance(0.3)
+    assert by_id(free.state, "velocity")[0, 0] > 0.1
+
+
+def test_what_rolling_loses_is_booked(start):
+    """A sphere that rolls out on a floor: its energy is gone, friction and dashpots have it."""
+    scene = incline(0.0, LAW)
+    moving = dataclasses.replace(
+        scene.bodies[0], velocities=np.array([[0.2, 0, 0]]), spins=np.array([[0, 0.2 / RADIUS, 0]])
+    )
+    stepper = start(dataclasses.replace(scene, bodies=(moving,), energy_balance=True))
+    before = body_sums(stepper.model, stepper.state).kinetic_energy
+    assert before == pytest.approx(0.7 * MASS * 0.04, rel=1e-6)
+    # It stops after v / (5/7 mu_r g) = 0.143 s, and v / 2 times that.
+    stepper.advance(0.8)
+    assert by_id(stepper.state, "position")[0, 0] == pytest.approx(0.2**2 / (2 * 5 / 7 * MU_ROLLING * 9.81), rel=2e-2)
+    assert body_sums(stepper.model, stepper.state).kinetic_energy < 1e-6 * before
+    booked = stepper.state.spheres.dissipated_energy.numpy().sum()
+    stored = contact_sums(stepper.model, stepper.state).elastic_energy
+    assert booked + stored - 0.5 * (MASS * 9.81) ** 2 / (1e6 * math.pi * RADIUS) == pytest.approx(before, rel=1e-2)
+
+
+def rolling_pair(law=LAW, overlap=1e-3):
+    """Two spheres too heavy to move, pressed together, that turn against each other about y without sliding."""
+    spins = np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]])
+    places = np.array([[0, 0, 0], [2 * RADIUS - overlap, 0, 0]])
+    return Scene(
+        name="rolling", duration=1.0, gravity=NO_GRAVITY, contact=law, time_step=TimeStep(fixed=1e-5),
+        bodies=(Bodies(positions=places, sizes=2 * RADIUS, density=1e15, spins=spins),),
+    )  # fmt: skip
+
+
+def test_the_moment_of_a_pair_grows_with_the_turn_up_to_its_limit_and_outlives_rebuilds(start):
+    """k_r = k_s R^2 with R = r / 2, up to mu_r R N; lists built anew in every tenth step change no bit."""
+    k = 1e6 * math.pi * RADIUS**2 / (2 * RADIUS)
+    limit = MU_ROLLING * RADIUS / 2 * k * 1e-3
+    turn = limit / (0.5 * k * (RADIUS / 2) ** 2)
+    steps = int(0.6 * turn / 1e-5)
+    found = []
+    for rebuilt in (False, True):
+        # Without the dashpot, which is large for spheres so heavy.
+        stepper = start(rolling_pair(dataclasses.replace(LAW, rolling_damping_ratio=0.0)))
+        for _ in range(10):
+            stepper.take(steps // 10)
+            if rebuilt:
+                stepper.rebuild()
+        moment = np.linalg.norm(stepper.state.pairs.rolling.numpy()[0])
+        assert moment == pytest.approx(0.5 * k * (RADIUS / 2) ** 2 * (steps // 10 * 10 - 1) * 1e-5, rel=1e-6)
+        stepper.take(steps)
+        found.append(stepper.state.pairs.rolling.numpy()[0].tobytes())
+        assert np.linalg.norm(stepper.state.pairs.rolling.numpy()[0]) == pytest.approx(limit, rel=1e-5)
+    assert found[0] == found[1]
+
+
+def crowd(count=5, law=LAW):
+    """Spheres of several sizes that fall on a floor."""
+    random = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1).reshape(-1, 3) * 0.0205 + 0.011
+    places = grid + random.uniform(-4e-4, 4e-4, grid.shape)
+    sizes = random.uniform(0.016, 0.02, len(grid))
+    floor = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+    return Scene(
+        name="crowd", duration=1.0, contact=law, walls=(floor,), energy_balance=True,
+        bodies=(Bodies(positions=places, sizes=sizes, density=DENSITY),),
+    )  # fmt: skip
+
+
+@pytest.mark.thorough
+def test_a_heap_moves_the_same_in_half_and_full_lists():
+    """As a CPU and as a GPU steps: what is summed is the same in another order, and loses the same energy."""
+    found = []
+    for gpu in (False, True):
+        with share_out_like_a_gpu() if gpu else nullcontext():
+            scene = crowd()
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step, threads=1)
+            stepper.choose_dt()
+            stepper.advance(0.08)
+            assert np.abs(stepper.state.pairs.rolling.numpy()).max() > 0
+            lost = stepper.state.spheres.dissipated_energy.numpy().sum()
+            found.append((by_id(stepper.state, "position"), by_id(stepper.state, "spin"), lost))
+    for other in found[1:]:
+        for ours, theirs in zip(other, found[0]):
+            assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
+
+
+def test_energy_of_a_heap_is_kept(device):
+    """Stored and lost energy of a falling crowd against its start."""
+    errors = []
+    for safety in (0.8, 0.2):
+        scene = dataclasses.replace(
+            crowd(4), duration=0.2, precision="float64", sample_interval=0.05, time_step=TimeStep(safety=safety)
+        )
+        run = Simulation(scene, device=device, threads=1).run()
+        assert run.result["momentum_balance_error"] < 1e-4
+        errors.append(abs(run.result["energy_balance_error"]))
+    # First order in the step: by friction and impacts alone it is 0.094 and 0.023 here.
+    assert errors[0] < 0.08 and errors[1] < 0.35 * errors[0]
+
+
+def test_heights_and_spreads_are_those_of_the_shape():
+    """A cone of small spheres without holes between them; one runaway far off changes nothing."""
+    step, height, base = 4e-3, 0.1, 0.2
+    x = np.arange(-base, base, step)
+    grid = np.stack(np.meshgrid(x, x, np.arange(0.5 * step, height, step), indexing="ij"), -1).reshape(-1, 3)
+    inside = np.hypot(grid[:, 0], grid[:, 1]) < base * (1 - grid[:, 2] / height)
+    spheres = np.insert(grid[inside], 3, 0.75 * step, axis=1)
+    runaway = np.array([[0.7, 0.3, step / 2, step / 2]])
+    assert heaps.main_body(spheres).all()
+    both = np.concatenate([spheres, runaway])
+    kept = heaps.main_body(both)
+    assert not kept[-1] and kept[:-1].all()
+    surface = heaps.surface_map(both[kept])
+    assert heaps.spread(surface) == pytest.approx(2 * base * (1 - 0.5 * step / height), abs=step)
+    assert heaps.height_of_top(surface, 0.02) == pytest.approx(height * (1 - 2 / 3 * 0.02 / base), abs=step)
+    ring = heaps.height_at(surface, (0.09, 0.11), (-0.01, 0.01))
+    assert ring == pytest.approx(height / 2, abs=step)
+    assert heaps.height_at(surface, (0.5, 0.6), (0, 0.1)) == 0.0
+
+
+def test_light_is_seen_through_what_no_grain_darkens():
+    one = np.array([[0.0, 0.0, 0.1, 0.01]])
+    dark = heaps.shadow(one, 0.02, 0.03, 5e-4)
+    assert dark == pytest.approx(math.pi * 0.01**2 / (0.04 * 0.06), rel=1e-2)
+    assert heaps.shadow(one[:0], 0.02, 0.03, 1e-3) == 0.0
+
+
+def test_rest_is_a_second_of_slowness_after_the_gate():
+    vessel = Vessel(test="slump", opened=1.0, rest_speed=1e-3, dimensions={"top_diameter": 0.1, "mould_height": 0.3})
+    rows = [{"time": 0.1 * n, "fastest": 1e-4} for n in range(20)]
+    assert not measures.at_rest(vessel, rows)  # 1.9 s
+    rows.append({"time": 2.05, "fastest": 1e-4})
+    assert measures.at_rest(vessel, rows)
+    rows[-5]["fastest"] = 2e-3
+    assert not measures.at_rest(vessel, rows)
+
+
+def test_solids_are_closed_and_have_their_volume():
+    cone = truncated_cone(0.1, 0.05, 0.3)
+    assert cone.trimesh().is_watertight
+    assert cone.trimesh().volume == pytest.approx(math.pi * 0.1 * (0.01 + 0.005 + 0.0025), rel=1e-9)
+    # The V-funnel holds 0.065 x 0.075 x 0.15 and (0.065 + 0.515) / 2 x 0.45 x 0.075.
+    funnel = scenes.funnel_dem().fill.container.mesh
+    assert funnel.is_watertight and funnel.volume == pytest.approx(0.065 * 0.075 * 0.15 + 0.29 * 0.45 * 0.075, rel=1e-9)
+    box = prism(((0, 0), (1, 0), (1, 2), (0, 2)), 3, (0.5, 1))
+    assert box.trimesh().volume == pytest.approx(6) and len(box.without(0)) == 14
+
+
+def test_mortar_of_a_concrete_adds_up_to_its_stresses():
+    """Mean over directions: |D n|^2 - (n D n)^2 is 1/10, (n D n)^2 is 1/15, in a simple shear of rate 1."""
+    slides, square, closes = sheared()
+    assert (square, closes) == pytest.approx((1 / 10, 1 / 15), rel=1e-4) and slides == pytest.approx(0.2966, abs=1e-3)
+    law = scenes.slump_dem(law="mortar", yield_stress=300.0, solid_fraction=0.66).contact
+    assert isinstance(law, BinghamMortar)
+    twice = scenes.slump_dem(law="mortar", yield_stress=600.0, solid_fraction=0.66).contact
+    assert twice.yield_stress == pytest.approx(2 * law.yield_stress)
+
+
+SMALL = dict(
+    top_diameter=0.08, base_diameter=0.12, mould_height=0.12, size_min=12e-3, size_max=18e-3, lift_time=0.2,
+    friction=0.5, settle=0.4,
+)  # fmt: skip
+
+
+def test_a_cone_with_rolling_resistance_stands_and_one_without_runs_away(device):
+    """The same cone, twice: what holds it is rolling resistance; its outcomes have units and its checks pass."""
+    found = {}
+    for law in ("rolling", "linear"):
+        more = dict(rolling_friction=0.4) if law == "rolling" else {}
+        scene = scenes.slump_dem(law=law, duration=2.5, plate_grip=2.0, **SMALL, **more)
+        found[law] = Simulation(scene, device=device, threads=1).run()
+    stands, runs = found["rolling"].result, found["linear"].result
+    assert stands["at_rest"] and stands["rest_speed"]["value"] < 1e-3 and stands["rest_speed"]["unit"] == "m/s"
+    assert 0 < stands["slump"]["value"] < 0.8 * runs["slump"]["value"] < 0.12
+    assert stands["spread"]["value"] < 0.8 * runs["spread"]["value"] or runs["strays"] > 0.2
+    module = scenes.modules()["slump-dem"]
+    failed = [name for name, (good, _) in module.check(found["rolling"]).items() if not good]
+    assert failed == []
+
+
+def test_bodies_weigh_what_the_concrete_does(device):
+    scene = scenes.slump_dem(law="rolling", bulk_density=2300.0, **SMALL)
+    simulation = Simulation(scene, device=device, threads=1)
+    simulation.prepare()
+    assert simulation.state.total_mass == pytest.approx(2300.0 * scene.fill.container.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["slump-dem", "funnel-dem", "lbox-dem"])
+def test_a_scene_is_made_again_from_its_parameters(name):
+    from warpcrete.core.provenance import fingerprint
+
+    make = scenes.modules()[name].scene
+    for law in ("linear", "bonds", "mortar", "rolling"):
+        first = make(law=law, seed=3)
+        again = make(**json.loads(json.dumps(dict(first.parameters))))
+        assert fingerprint(first) == fingerprint(again) and first.name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("slump-dem", {"law": "glue"}, r"^law = 'glue': must be one of linear, bonds, mortar, rolling$"),
+        ("slump-dem", {"size_max": 0.05}, r"^size_max = 0\.05: must leave four grains across the mould; take 0\.025 m"),
+        ("slump-dem", {"size_min": 0.02}, r"^size_max = 0\.016: must be size_min = 0\.02 m or more"),
+        (
+            "slump-dem",
+            {"law": "linear", "rolling_friction": 0.3},
+            r"^rolling_friction = 0\.3: means nothing unless law",
+        ),
+        ("slump-dem", {"mould_grip": 3.0}, r"^mould_grip = 3\.0: must not exceed plate_grip = 2"),
+        ("slump-dem", {"lift_time": 0.0}, r"^lift_time = 0\.0: must be a finite number above 0 s$"),
+        ("funnel-dem", {"size_max": 0.04}, r"^size_max = 0\.04: must leave two grains across the outlet; take 0\.0325"),
+        ("lbox-dem", {"length": 0.15}, r"^length = 0\.15: leaves no box beyond the column; take 0\.4 m or more$"),
+        ("lbox-dem", {"column_height": 0.1}, r"^column_height = 0\.1: is that of the column"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(name, given, words):
+    with pytest.raises(SceneError, match=words):
+        scenes.modules()[name].scene(**given)
+
+
+def test_a_scene_has_a_name_by_method():
+    assert scenes.by_method("slump", "dem") == scenes.by_method("slump-dem", "dem") == "slump-dem"
+    assert scenes.by_method("lbox-dem", "mps") == "lbox" and scenes.by_method("pipe", "dem") == "pipe"
+    with pytest.raises(SceneError, match=r"^method = 'dem': must be one of mps for scene 'tube'"):
+        scenes.by_method("tube", "dem")
+
+
+def test_the_command_takes_a_method():
+    from warpcrete.cli.main import cli
+
+    helped = CliRunner().invoke(cli, ["run", "slump", "--method", "dem", "--help"])
+    assert helped.exit_code == 0 and "--rolling-friction" in helped.output
+    helped = CliRunner().invoke(cli, ["run", "slump", "--method=mps", "--help"])
+    assert helped.exit_code == 0 and "--regularisation" in helped.output

@@ -1,0 +1,72 @@
+"""`warpcrete calibrate`: from measured quantities to the parameters of a concrete."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.device import PRECISIONS
+from ..core.errors import RunFolderError
+from ..core.files import next_folder
+from ..core.progress import ProgressBar
+from ..studies.calibrate import RECORD, resume_calibration, run_calibration
+from ..studies.calibration import Calibration
+from ..studies.calibration_report import parameter_table, target_table
+from .run import INTERRUPTED
+from .study import ON_WORKERS, parsed, single
+
+ONE = {
+    "trials": int, "batch": int, "repeat": int, "seed": int, "out": Path, "resume": Path, "device": str,
+    "precision": str, "processes": int, **ON_WORKERS,
+}  # fmt: skip
+ANEW = ("trials", "processes", *ON_WORKERS)
+"""Settings with others of which a calibration may go on."""
+
+
+def run(arguments: list[str], modules: dict[str, Any]) -> None:
+    """Calibrate, or go on with it, and print what was found."""
+    targets, options = parsed(arguments)
+    quiet = options.pop("quiet", None) is not None
+    settings = single(options, ONE)
+    if options:
+        raise click.UsageError(f"--{next(iter(options))}: is no option of calibrate; parameters stand in the file")
+    if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
+        raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
+    progress = ProgressBar()
+    settings["progress"] = None if quiet else progress
+    try:
+        if "resume" in settings:
+            found = _resumed(targets, settings, modules)
+        elif targets is None:
+            raise click.UsageError("targets: name a file of targets, or --resume FOLDER")
+        else:
+            out = settings.pop("out", None) or next_folder("calibration")
+            found = run_calibration(Path(targets), modules, out=out, **settings)
+    finally:
+        progress.close()
+    report(found)
+
+
+def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, Any]) -> Calibration:
+    folder = settings.pop("resume")
+    strange = [name for name in settings if name not in (*ANEW, "progress")]
+    if targets is not None or strange:
+        raise click.UsageError(f"resume = '{folder}': goes on as it began; only {', '.join(ANEW)} are new")
+    if not (folder / RECORD).is_file():
+        raise RunFolderError(f"resume = '{folder}': is no calibration's folder (it holds no {RECORD})")
+    return resume_calibration(folder, modules, **settings)
+
+
+def report(found: Calibration) -> None:
+    """Print the tables, what they do not tell, and where the rest is."""
+    click.echo()
+    if found.posterior is not None:
+        click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))
+        for said in found.findings:
+            click.echo(f"note: {said}")
+    click.echo(f"\n{len(found.trials)} trials in {found.took:.0f} s; calibration folder: {found.folder}")
+    if not found.finished:
+        click.echo(f"go on with: warpcrete calibrate --resume {found.folder}")
+        raise SystemExit(INTERRUPTED)

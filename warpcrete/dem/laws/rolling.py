@@ -1,0 +1,115 @@
+# pyright: reportInvalidTypeForm=false
+"""Linear contact that resists rolling: an elastic-plastic spring with dashpot, model C of Ai, Chen, Rotter & Ooi 2011.
+
+The spring grows with the relative turn of the two bodies about axes in the contact plane, up to mu_r R N, where it
+slips; R is R1 R2 / (R1 + R2), against a wall the radius, N the force of the normal spring. Its stiffness is k_s R^2
+(Iwashita & Oda 1998). The dashpot is a part of the critical one and acts while the spring does not slip. Other than in
+the paper, both together give no more than the limit: else a sphere that meets a floor while it turns is braked by the
+dashpot in its first step by much more than friction could. Turning about the normal, twist, is free, as in the paper.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import warp as wp
+
+from ...core.parameters import Within
+from ...kernels.common.types import types
+from ...kernels.dem.contact_law import contact_functions
+from .base import ContactLaw
+from .linear import Contact
+
+
+@dataclass(frozen=True, kw_only=True)
+class RollingResistance(ContactLaw):
+    """The linear law, and a moment up to mu_r R N against rolling."""
+
+    called = "rolling"
+
+    contact: Annotated[Contact, "springs, dashpots and friction"] = field(default_factory=Contact)
+    rolling_friction: Annotated[float, "mu_r, moment over normal force and R", Within(0)] = 0.1
+    rolling_damping_ratio: Annotated[float, "dashpot against rolling over the critical one", Within(0)] = 0.3
+
+    rolls = True
+
+    @property
+    def stress_scale(self) -> float:
+        return self.contact.stress_scale
+
+    @property
+    def has_history(self) -> bool:
+        return self.contact.has_history or self.rolling_friction > 0
+
+    @property
+    def has_shear(self) -> bool:
+        return self.has_history or self.contact.has_shear
+
+    def frictionless(self) -> Contact:
+        return self.contact.frictionless()
+
+    @classmethod
+    def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
+        t = types(scalar)
+        f = contact_functions(scalar)
+        Touch, plane_spring = f.Touch, f.plane_spring
+        linear = Contact.functions(scalar)
+        linear_stiffness, linear_energy, linear_force = linear.stiffness, linear.energy, linear.force
+        Parameters = parameters
+
+        @wp.func
+        def rolling_stiffness(p: Parameters, touch: Touch):
+            """Of the spring [N m/rad] and the dashpot [N m s/rad].
+
+            Critical is what damps two spheres that roll in place: 7/5 m r^2 with the mass that both have together; the
+            smaller of two unequal ones decides.
+            """
+            k = linear_stiffness(p.contact, touch)
+            kr = k[1] * touch.reduced_radius * touch.reduced_radius
+            inertia = scalar(1.4) * touch.mass * touch.smaller_radius * touch.smaller_radius
+            return kr, scalar(2.0) * p.rolling_damping_ratio * wp.sqrt(inertia * kr)
+
+        @wp.func
+        def stiffness(p: Parameters, touch: Touch):
+            # A moment k_r of a turn is no more than a force k_r / r^2 at the end of a radius.
+            k = linear_stiffness(p.contact, touch)
+            if p.rolling_friction > scalar(0.0):
+                kr, cr = rolling_stiffness(p, touch)
+                square = touch.smaller_radius * touch.smaller_radius
+                k = t.vec4(k[0], k[1] + kr / square, k[2], k[3] + cr / square)
+            return k
+
+        @wp.func
+        def energy(p: Parameters, touch: Touch, history: t.vec3):
+            return linear_energy(p.contact, touch, history)
+
+        @wp.func
+        def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
+            return linear_force(p.contact, touch, history, dt)
+
+        @wp.func
+        def moment(p: Parameters, touch: Touch, turning: t.vec3, history: t.vec3, dt: scalar):
+            zero = scalar(0.0)
+            k = linear_stiffness(p.contact, touch)
+            kr, cr = rolling_stiffness(p, touch)
+            limit = p.rolling_friction * touch.reduced_radius * k[0] * wp.max(-touch.gap, zero)
+            rate = turning - wp.dot(turning, touch.normal) * touch.normal
+            held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
+            total = held
+            if not slips:
+                total = held + cr * rate
+                size = wp.length(total)
+                if size > limit:
+                    total = total * (limit / size)
+                lost += wp.dot(total - held, rate) * dt
+            return total, held, lost
+
+        @wp.func
+        def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
+            stored = scalar(0.0)
+            if wp.length_sq(history) > scalar(0.0):
+                kr, cr = rolling_stiffness(p, touch)
+                stored = scalar(0.5) * wp.length_sq(history) / kr
+            return stored
+
+        return {"force": force, "stiffness": stiffness, "energy": energy, "moment": moment,
+                "moment_energy": moment_energy}  # fmt: skip

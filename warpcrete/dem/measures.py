@@ -1,0 +1,141 @@
+"""What is measured of concrete in a vessel, by the names that flows have for the same, and what a test comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.method import Quantity
+from .heaps import height_at, height_of_top, main_body, shadow, spread, surface_map
+from .scene import Vessel
+
+UNITS = {
+    "top": "m",
+    "spread": "m",
+    "screen": "1",
+    "inside": "1",
+    "near_depth": "m",
+    "far_depth": "m",
+    "front": "m",
+    "main_body": "1",
+    "fastest": "m/s",
+    "mean_speed": "m/s",
+}
+"""Of the columns of a row; a test has those that it needs."""
+T500 = 0.5
+"""Spread whose time is told [m] (EN 12350-8)."""
+LIGHT = 0.5
+"""Part of a funnel's outlet that stones may still darken when light is seen through it."""
+RESTED = 1.0
+"""Simulated time over which concrete must be slow to be at rest [s]."""
+FAR_END = 0.05
+"""Length of a box over which the depth at its far end is a mean [m]."""
+
+
+def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[str, float]:
+    """Columns of a row: `spheres` are centres and radii [m], shape (n, 4), n > 0, `velocity` begins with theirs [m/s].
+
+    Speeds are those of the main body; a stone that left it may roll for long.
+    """
+    spheres = spheres.astype(float)
+    speed = np.linalg.norm(velocity[:, :3].astype(float), axis=1)
+    size = vessel.dimensions
+    found: dict[str, float]
+    if vessel.test == "funnel":
+        here = (spheres[:, 2] > 0) & (spheres[:, 2] < 2 * size["whole_height"])
+        volume = spheres[:, 3] ** 3
+        narrow, deep = size["outlet_width"] / 2, size["breadth"] / 2
+        found = {
+            "screen": shadow(spheres[here], narrow, deep, min(narrow, deep) / 16),
+            "inside": float(volume[here].sum() / volume.sum()),
+        }
+    else:
+        here = main_body(spheres)
+        surface = surface_map(spheres[here])
+        if vessel.test == "slump":
+            # Half of the mould's top: of a heap that stands the whole of it is one height.
+            found = {"top": height_of_top(surface, size["top_diameter"] / 4), "spread": spread(surface)}
+        else:
+            found = _box(surface, spheres[here], size)
+    moving = speed[here] if here.any() else np.zeros(1)
+    return found | {
+        "main_body": float(np.mean(here)),
+        "fastest": float(moving.max()),
+        "mean_speed": float(np.sqrt(np.mean(moving**2))),
+    }
+
+
+def _box(surface: Any, spheres: np.ndarray, size: Any) -> dict[str, float]:
+    """Depth just behind the gate and at the far end of an L-box, and how far the front has come from the gate [m]."""
+    gate, half = size["column_width"], size["width"] / 2
+    return {
+        "near_depth": height_at(surface, (0.5 * gate, gate), (-half, half)),
+        "far_depth": height_at(surface, (size["length"] - FAR_END, size["length"]), (-half, half)),
+        "front": max(float((spheres[:, 0] + spheres[:, 3]).max()) - gate, 0.0),
+    }
+
+
+def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
+    """Whether the main body has been slow for a second after nothing held it any more; a funnel never rests."""
+    now = rows[-1]["time"]
+    if vessel.test == "funnel" or now < vessel.opened + RESTED:
+        return False
+    return all(row["fastest"] < vessel.rest_speed for row in rows if row["time"] > now - RESTED - 1e-9)
+
+
+def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
+    """Whether a run has found what it is for: concrete at rest, or light seen through a funnel."""
+    if "screen" not in rows[-1]:
+        return at_rest(vessel, rows)
+    return rows[-1]["screen"] < LIGHT and rows[-1]["time"] > vessel.opened
+
+
+def _of(test: str, of: Any) -> Any:
+    """Of runs of one test, and of nothing else."""
+    return lambda k: of(k) if k.scene.vessel is not None and k.scene.vessel.test == test else None
+
+
+def _when(k: Any, name: str, value: float, falls: bool = False) -> float | None:
+    """When a column first passes a value [s]; None if it does not."""
+    time, column = k.series["time"], k.series[name]
+    if falls:
+        column, value = -column, -value
+    past = np.nonzero(column >= value)[0]
+    if len(past) == 0 or past[0] == 0:
+        return None
+    n = past[0]
+    part = (value - column[n - 1]) / (column[n] - column[n - 1])
+    return float(time[n - 1] + part * (time[n] - time[n - 1]))
+
+
+def _last(name: str) -> Any:
+    return lambda k: float(k.series[name][-1])
+
+
+def _ratio(k: Any) -> float | None:
+    near = float(k.series["near_depth"][-1])
+    return float(k.series["far_depth"][-1]) / near if near > 0 else None
+
+
+QUANTITIES = (
+    Quantity("slump", "m", _of("slump", lambda k: float(k.series["top"][0] - k.series["top"][-1])), "slump", None,
+             True),
+    Quantity("fill_height", "m", _of("slump", lambda k: float(k.series["top"][0])), "height at the start"),
+    Quantity("spread", "m", _of("slump", _last("spread")), "spread", None, True),
+    Quantity("t500", "s", _of("slump", lambda k: _when(k, "spread", T500)), "T500", None, True),
+    Quantity("funnel_time", "s", _of("funnel", lambda k: _when(k, "screen", LIGHT, True)), "funnel time", None, True),
+    Quantity("remaining", "1", _of("funnel", _last("inside")), "remaining",
+             lambda run: f"{100 * run.result['remaining']:.1f} %"),
+    Quantity("passing_ratio", "1", _of("lbox", _ratio), "H2/H1", None, True),
+    Quantity("h1", "m", _of("lbox", _last("near_depth")), "H1"),
+    Quantity("h2", "m", _of("lbox", _last("far_depth")), "H2"),
+    Quantity("t200", "s", _of("lbox", lambda k: _when(k, "front", 0.2)), "T200", None, True),
+    Quantity("t400", "s", _of("lbox", lambda k: _when(k, "front", 0.4)), "T400", None, True),
+    Quantity("rest_speed", "m/s", lambda k: None if k.scene.vessel is None else float(k.series["fastest"][-1])),
+    Quantity("strays", "1", lambda k: None if k.scene.vessel is None or k.scene.vessel.test == "funnel"
+             else 1 - float(k.series["main_body"][-1])),
+)  # fmt: skip
+"""The slump is counted from the height at the start, measured in the same way: the roughness of the surface, and what
+the concrete sank in the mould, are no slump."""

@@ -1,0 +1,316 @@
+"""What there is to choose in testing fresh concrete in a vessel by discrete elements, and what it makes of that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+
+from ..core.device import PRECISIONS
+from ..core.errors import refuse
+from ..core.knobs import Knob, Level, precisions, scaled
+from ..core.parameters import Above, Declared, Needs, OneOf, Within
+from ..core.run_loop import Run
+from ..geometry.prisms import Solid
+from .clumps import templates
+from .containers import Fill, MeshContainer
+from .laws import BinghamMortar, Contact, ContactLaw, RollingResistance
+from .scene import Bonds, Settle, TimeStep, Watch
+from .sizes import Gaussian, Sizes, Uniform
+
+LAWS = ("linear", "bonds", "mortar", "rolling")
+STIFF = {"mortar": 1e6}
+"""Modulus where a law needs another than Zhan's 1e5 Pa [Pa]: cores of mortar's spheres must be stiffer than shells."""
+DENSE = {"mortar": 0.66}
+"""Solid fraction where a law needs another than LOOSE: shells overlap all around."""
+LOOSE = 0.6
+RUBBING = {"mortar": 0.0, "rolling": 0.5}
+"""Friction where a law needs another than Zhan's 0.05: spheres that cannot roll must not slide either."""
+CONTACTS = 6.9
+"""Touching neighbours of a sphere in such a packing of mortar's, shells included, measured: 6.7 to 6.9."""
+
+WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
+WITH_MORTAR = Needs("law", lambda law: law == "mortar", "is mortar")
+WITH_ROLLING = Needs("law", lambda law: law == "rolling", "is rolling")
+BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrainParameters:
+    """Grains."""
+
+    sizes: Annotated[str, "distribution: gaussian, of the middle and half of the range, or uniform",
+                     OneOf(("gaussian", "uniform"))] = "uniform"  # fmt: skip
+    size_min: Annotated[float, "smallest [m]", Above()] = 10e-3
+    size_max: Annotated[float, "largest [m]", Above()] = 16e-3
+    bulk_density: Annotated[
+        float | None, "of the concrete in the full vessel [kg/m3]: grains bear the mortar between them, too", Above()
+    ] = None
+    density: Annotated[float, "of the grains, which weigh alone [kg/m3]", Above(), BY_ITSELF] = 2500.0
+    solid_fraction: Annotated[
+        float | None, "of the packing in the full vessel, before it settles; default: 0.66 of law mortar, else 0.6"
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawParameters:
+    """Contacts."""
+
+    law: Annotated[
+        str,
+        "what carries the concrete: linear (springs and friction), bonds (that besides, which break and heal), mortar "
+        "(soft shells with a yield stress round hard cores), rolling (friction, and resistance to rolling)",
+        OneOf(LAWS),
+    ] = "rolling"
+    modulus: Annotated[float | None, "effective, of contacts, of mortar the cores' [Pa]; default: 1e6 of law mortar, "
+                       "else 1e5", Above()] = None  # fmt: skip
+    stiffness_ratio: Annotated[float, "normal over shear stiffness", Above()] = 2.0
+    friction: Annotated[
+        float | None, "coefficient between grains; default: 0.5 of law rolling, 0 of mortar, else 0.05", Within(0)
+    ] = None
+    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0)] = 0.5
+    yield_stress: Annotated[
+        float, "of the concrete [Pa]; contacts have what adds up to it when all of them slip, see mortar_law",
+        Within(0), WITH_MORTAR,
+    ] = 200.0  # fmt: skip
+    viscosity: Annotated[float, "of the concrete [Pa s], likewise", Above(), WITH_MORTAR] = 30.0
+    shell_fraction: Annotated[float, "thickness of two shells over the distance of the centres", Above(),
+                              Within(0, 0.5), WITH_MORTAR] = 0.1  # fmt: skip
+    shell_modulus: Annotated[float, "stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
+    rolling_friction: Annotated[float, "moment that a contact bears, over normal force and radius", Within(0),
+                                WITH_ROLLING] = 0.2  # fmt: skip
+    bond_modulus: Annotated[float, "effective, of bonds [Pa]", Above(), WITH_BONDS] = 2e4
+    tensile_strength: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
+    cohesion: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
+    friction_angle: Annotated[float, "of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
+    healing: Annotated[bool, "new contacts bond when they touch", WITH_BONDS] = True
+    plate_grip: Annotated[
+        float,
+        "friction, yield stress and viscosity of what the concrete flows on, over those between grains",
+        Within(0),
+    ] = 2.0
+    mould_grip: Annotated[float, "the same of mould, gate and sides; 0: concrete slides along them freely",
+                          Within(0)] = 0.0  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class VesselRun(Declared):
+    """Run."""
+
+    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 10.0
+    rest_speed: Annotated[
+        float, "at rest: the fastest of the main body goes slower than this, and did for a second [m/s]", Above()
+    ] = 1e-3
+    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
+    settle: Annotated[float, "longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
+    time_step: Annotated[float | None, "fixed [s]; default: automatic", Above()] = None
+    safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8
+    overlap_limit: Annotated[
+        float, "overlap at which the run stops, over that which swallows a grain; 0: no limit", Within(0)
+    ] = 1.5
+    energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False
+    precision: Annotated[str, "of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "random seed", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class VesselParameters(GrainParameters, LawParameters, VesselRun):
+    """What the tests of fresh concrete have in common."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size_max < self.size_min:
+            refuse("size_max", self.size_max, f"must be size_min = {self.size_min:g} m or more")
+        if self.mould_grip > self.plate_grip:
+            refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
+                   "what the concrete flows on holds it most")  # fmt: skip
+
+    @property
+    def stiffness(self) -> float:
+        """Modulus of the contacts [Pa]."""
+        return self.modulus if self.modulus is not None else STIFF.get(self.law, 1e5)
+
+    @property
+    def packed(self) -> float:
+        """Solid fraction of the packing."""
+        return self.solid_fraction if self.solid_fraction is not None else DENSE.get(self.law, LOOSE)
+
+    @property
+    def rubbing(self) -> float:
+        """Friction between grains."""
+        return self.friction if self.friction is not None else RUBBING.get(self.law, 0.05)
+
+    def contact(self) -> ContactLaw:
+        """Law between grains."""
+        linear = Contact(
+            effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.rubbing,
+            normal_damping_ratio=self.normal_damping,
+        )  # fmt: skip
+        if self.law == "rolling":
+            return RollingResistance(contact=linear, rolling_friction=self.rolling_friction)
+        if self.law == "mortar":
+            return mortar_law(self)
+        return linear
+
+    def contacts(self) -> dict[tuple[str, str], ContactLaw]:
+        """Laws with the materials `plate` and `mould`."""
+        grips = {"plate": self.plate_grip, "mould": self.mould_grip}
+        return {("aggregate", name): gripped(self.contact(), grip) for name, grip in grips.items()}
+
+    def bonds(self) -> Bonds | None:
+        """Bonds between grains."""
+        if self.law != "bonds":
+            return None
+        return Bonds(
+            effective_modulus=self.bond_modulus, stiffness_ratio=self.stiffness_ratio, healing=self.healing,
+            tensile_strength=self.tensile_strength, cohesion=self.cohesion, friction_angle=self.friction_angle,
+        )  # fmt: skip
+
+    def fill(self, inside: Solid) -> Fill:
+        """The concrete in a closed solid."""
+        return Fill(
+            container=MeshContainer(inside.trimesh()),
+            sizes=self.distribution(),
+            templates=templates("spheres", 1),
+            density=self.density,
+            bulk_density=self.bulk_density,
+            solid_fraction=self.packed,
+        )
+
+    def distribution(self) -> Sizes:
+        """Of the grains' diameters."""
+        if self.sizes == "uniform":
+            return Uniform(self.size_min, self.size_max)
+        middle, half = 0.5 * (self.size_min + self.size_max), 0.5 * (self.size_max - self.size_min)
+        return Gaussian(middle, max(half, 1e-6 * middle), self.size_min, self.size_max)
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of a scene that say how it is computed, and what carries the concrete."""
+        return {
+            "duration": self.duration,
+            "contact": self.contact(),
+            "contacts": self.contacts(),
+            "bonds": self.bonds(),
+            "gravity": (0.0, 0.0, -self.gravity),
+            "settle": Settle(duration=self.settle) if self.settle > 0 else None,
+            "time_step": TimeStep(fixed=self.time_step, safety=self.safety),
+            "watch": Watch(overlap=self.overlap_limit or None),
+            "energy_balance": self.energy_balance,
+            "precision": self.precision,
+            "sample_interval": self.sample_interval,
+            "seed": self.seed,
+        }
+
+
+def sheared() -> tuple[float, float, float]:
+    """Of contacts in all directions n, in a simple shear of rate 1 whose rate of strain is D: means of |D n| across n,
+    of its square, and of the square of what is along n.
+
+    The squares are 1/10 and 1/15; the first is a sum over directions, spread evenly (Fibonacci's).
+    """
+    count = 20_000
+    z = (2 * np.arange(count) + 1) / count - 1
+    angle = np.pi * (1 + math.sqrt(5)) * np.arange(count)
+    x, y = np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle)
+    along = x * y
+    across = 0.25 * (x * x + y * y) - along**2
+    return float(np.mean(np.sqrt(np.maximum(across, 0)))), float(np.mean(across)), float(np.mean(along**2))
+
+
+def mortar_law(given: VesselParameters) -> BinghamMortar:
+    """Law of contacts whose stresses add up to those of the concrete.
+
+    Neighbours take part in a simple shear as its mean field says. Contacts, Z/2 for each grain, act on pi d^2/4 over
+    the distance d: as many as fill 3/4 Z phi of the volume. Each loses its yield stress times what slides across its
+    normal, and viscosity over the shell times the square of that and, by Trouton's ratio, three times that of what
+    closes; the sum is what the concrete loses. No heap bears it: grains roll on each other, which this law lets them,
+    and part, as nothing pulls. Cones of 20 to 2000 Pa measured alike, 253 to 257 mm of slump at grains of 14 to 20 mm;
+    a scene says so.
+    """
+    slides, square, closes = sheared()
+    filled = 0.75 * CONTACTS * given.packed
+    return BinghamMortar(
+        effective_modulus=given.stiffness,
+        stiffness_ratio=given.stiffness_ratio,
+        friction=given.rubbing,
+        normal_damping_ratio=given.normal_damping,
+        shell_fraction=given.shell_fraction,
+        shell_modulus=given.shell_modulus,
+        yield_stress=given.yield_stress / (filled * slides),
+        plastic_viscosity=given.viscosity * given.shell_fraction / (filled * (square + 3 * closes)),
+    )
+
+
+def gripped(law: ContactLaw, grip: float) -> ContactLaw:
+    """A law whose resistance to sliding and rolling is `grip` times as much."""
+    if isinstance(law, BinghamMortar):
+        return replace(
+            law, friction=grip * law.friction, yield_stress=grip * law.yield_stress,
+            plastic_viscosity=grip * law.plastic_viscosity,
+        )  # fmt: skip
+    if isinstance(law, RollingResistance):
+        contact = gripped(law.contact, grip)
+        assert isinstance(contact, Contact)
+        return replace(law, contact=contact, rolling_friction=grip * law.rolling_friction)
+    assert isinstance(law, Contact)
+    return replace(law, friction=grip * law.friction)
+
+
+COARSER = (2.0, 1.5, 1.25, 1.0)
+
+
+def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
+    """What trades accuracy for time: grains no larger than a fourth of the `narrowest` passage [m], steps, precision,
+    stiffness."""
+    if given.time_step is None:
+        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5), -1.0)
+    yield precisions()
+    levels = [
+        Level(f"x {f:g}", {"size_min": f * given.size_min, "size_max": f * given.size_max}, f**-4, f"x {f:g}")
+        for f in COARSER
+        if f == 1.0 or f * given.size_max <= narrowest / 4
+    ]
+    if len(levels) > 1:
+        yield Knob("coarse-graining", tuple(levels), True)
+    stiffness = [
+        Level(f"{f * given.stiffness:.4g} Pa", {"modulus": f * given.stiffness}, f**0.5, f"x {f:g}")
+        for f in (0.25, 0.5)
+    ]
+    as_given = Level(f"{given.stiffness:.4g} Pa", {"modulus": given.modulus}, 1.0, "x 1")
+    yield Knob("stiffness", (*stiffness, as_given), True)
+
+
+BALANCED = 0.01
+"""Part of the largest impulse that may be missing in the balance of momentum."""
+FEWEST = 200
+"""Grains that stand for concrete in a vessel: of fewer the outcome is that of single stones."""
+
+
+def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
+    """What every run in a vessel is checked for: name -> (passed, what was found)."""
+    result = run.result
+    balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
+    return {
+        "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
+        "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "enough grains": (grains >= FEWEST, f"{grains}; {FEWEST} or more stand for concrete"),
+    }
+
+
+def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
+    """What a scene simplifies."""
+    found = []
+    if given.law == "mortar":
+        found.append("law mortar lets grains roll and part: its yield stress carries no heap, law rolling does")
+    if given.mould_grip == 0:
+        found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
+    if given.bulk_density is None:
+        found.append(
+            f"only grains weigh, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density gives "
+            "them the mortar's weight, too"
+        )
+    return tuple(found)

@@ -1,0 +1,329 @@
+"""Calibration: from what was measured to the parameters of a concrete, by rounds of runs.
+
+The first round spreads over the ranges; each further one goes where the posterior of the runs so far lies, and partly
+where Optuna's tree-structured Parzen estimator hopes for better. Every run has a seed of its own, so that their scatter
+counts as noise. In the end the likeliest parameters are run again with fresh seeds.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import RunFolderError, WarpcreteError, positive, refuse
+from ..core.extras import needs_extra
+from ..core.files import check_new, next_folder, read_json, write_json
+from ..record.checks import failed_checks
+from ..scenes import modules
+from .calibration import Calibration, Trial
+from .calibration_report import write
+from .cases import Case
+from .posterior import posterior
+from .starts import closed_form_start
+from .study import Study, resume_study, run_listed
+from .targets import Target, Task, found_in, read_task, task_of
+
+RECORD = "calibration.json"
+Progress = Callable[[str, float, dict[str, Any]], None]
+CLEAR = 0.5
+"""Emulator's standard deviation over a target's uncertainty, below which further runs would not change the answer."""
+STILL = 0.25
+"""Standard deviations of the posterior by which its mean may still move from one round to the next."""
+
+
+def calibrate(
+    targets: Path | str | Mapping[str, Any], *, out: Path | str | None = None, **settings: Any
+) -> Calibration:
+    """Find the parameters of a concrete that meet `targets`: a file, or the mapping that such a file holds.
+
+    `out` is the new folder (default: runs/calibration-NNN), `settings` are those of :func:`run_calibration`, which says
+    what is raised.
+    """
+    asked = Path(targets) if isinstance(targets, str) else targets
+    return run_calibration(asked, modules(), out=Path(out) if out else next_folder("calibration"), **settings)
+
+
+def run_calibration(
+    targets: Path | Mapping[str, Any],
+    modules: Mapping[str, Any],
+    *,
+    out: Path,
+    trials: int | None = None,
+    batch: int | None = None,
+    repeat: int = 3,
+    seed: int = 0,
+    device: str | None = None,
+    precision: str = "float32",
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Find the parameters of the scenes `modules` that meet `targets`, a file or a mapping, into the new folder `out`.
+
+    `trials` is the most that are run (default: 10 for each free parameter and 10 more), `batch` how many at a time
+    (default: 4 and 2 for each free parameter), `repeat` the seeds with which the answer is tried in the end. Raises
+    :class:`SceneError` before anything is written for wrong targets, :class:`WarpcreteError` where all runs of a target
+    fail.
+    """
+    needs_extra("calibrate", "optuna", "sklearn", "emcee")
+    task, raw = read_task(targets, modules) if isinstance(targets, Path) else (task_of(targets, modules), dict(targets))
+    free = len(task.free)
+    most = 10 + 10 * free if trials is None else trials
+    at_once = 4 + 2 * free if batch is None else batch
+    if most < 4:
+        refuse("trials", most, "must be 4 or more")
+    if at_once < 1:
+        refuse("batch", at_once, "must be 1 or more")
+    if repeat < 0:
+        refuse("repeat", repeat, "must be 0 or more")
+    positive("seed", seed + 1, "")
+    check_new(out)
+    settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
+                "precision": precision}  # fmt: skip
+    out.mkdir(parents=True)
+    write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": []})
+    return _go_on(out, modules, processes, scheduler, workers, progress)
+
+
+def resume_calibration(
+    folder: Path,
+    modules: Mapping[str, Any],
+    *,
+    trials: int | None = None,
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Go on with a calibration; runs that are there are used. `trials` is a new bound for all of them together."""
+    needs_extra("calibrate", "optuna", "sklearn", "emcee")
+    record = _record(folder)
+    if trials is not None:
+        record["settings"]["trials"] = trials
+        record["rounds"] = [each for each in record["rounds"] if not each["proof"]]
+        write_json(folder / RECORD, record)
+    return _go_on(folder, modules, processes, scheduler, workers, progress)
+
+
+def _record(folder: Path) -> dict[str, Any]:
+    record = read_json(folder / RECORD)
+    if set(record) != {"targets", "settings", "rounds"}:
+        raise RunFolderError(f"'{folder / RECORD}': holds no calibration")
+    return record
+
+
+def _go_on(
+    folder: Path,
+    modules: Mapping[str, Any],
+    processes: int | None,
+    scheduler: str | None,
+    workers: int | None,
+    progress: Progress | None,
+) -> Calibration:
+    begun = time.perf_counter()
+    record = _record(folder)
+    task = task_of(record["targets"], modules)
+    found = Calibration(folder, task, record)
+    where = dict(processes=processes, scheduler=scheduler, workers=workers)
+    try:
+        _search(found, modules, where, progress or (lambda phase, fraction, figures: None))
+    finally:
+        found.took = time.perf_counter() - begun
+        write(found, modules)
+    return found
+
+
+def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
+    """Rounds until the answer is settled or the trials are used up, and the proof."""
+    settings, rounds = found.record["settings"], found.record["rounds"]
+    most = settings["trials"]
+    place = 0
+    while True:
+        if place == len(rounds):
+            proposed = _proposed(found, most - len(found.searched), settings, modules)
+            if proposed is None:
+                break
+            rounds.append(proposed)
+            write_json(found.folder / RECORD, found.record)
+        each = rounds[place]
+        trials = [Trial(len(found.trials) + k, list(units), each["seeds"][k], each["proof"])
+                  for k, units in enumerate(each["units"])]  # fmt: skip
+        whole = len(found.trials) + len(trials) if each["proof"] else most
+        part = (len(found.trials) / max(whole, 1), len(trials) / max(whole, 1))
+        if not run_round(found, modules, place, trials, where, tell, part):
+            return
+        found.trials += trials
+        place += 1
+        if each["proof"]:
+            found.finished = True
+            return
+        _judge(found, settings["seed"] + place)
+    found.finished = settings["repeat"] == 0
+
+
+def run_round(
+    found: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
+    tell: Progress, part: tuple[float, float],
+) -> bool:  # fmt: skip
+    """Run all scenes of a round and note what they come to; False if it was interrupted.
+
+    `part` is where it begins and ends in all the work, as fractions.
+    """
+    for group in range(len(found.task.groups)):
+        study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
+        if not study.finished:
+            return False
+        _take(study, trials, found.task.groups[group])
+    return True
+
+
+def _within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
+    """Progress of a study as part of all."""
+    groups = len(task.groups)
+
+    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        tell("running" if phase == "running" else phase, part[0] + part[1] * (group + fraction) / groups, figures)
+
+    return hear
+
+
+def _ran(
+    found: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
+    where: Mapping[str, Any], tell: Progress,
+) -> Study:  # fmt: skip
+    """The runs of one scene in a round, as a study of their own, begun or gone on with."""
+    target = found.task.groups[group][0]
+    folder = found.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
+    module = modules[target.scene]
+    if (folder / "study.json").is_file():
+        return resume_study(folder, module, progress=tell, **where)
+    cases = []
+    for trial in trials:
+        values = found.task.values(trial.units)
+        parameters = found.task.parameters(target, values, module)
+        if "seed" in module.scene.parameters.__dataclass_fields__:
+            parameters = {"seed": trial.seed, **parameters}
+        shown = {name: value for name, value in parameters.items() if name in values}
+        cases.append(Case(f"{trial.number + 1:03d}", shown, parameters))
+    settings = found.record["settings"]
+    return run_listed(
+        target.scene, module, cases, out=folder, device=settings["device"], precision=settings["precision"],
+        rerun=False, usd=False, figure=False, progress=tell, **where,
+    )  # fmt: skip
+
+
+def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
+    """Note what the runs of a scene came to."""
+    for trial, case in zip(trials, study.cases):
+        result = study.results.get(case.name)
+        if result is None:
+            trial.failure = trial.failure or study.failures.get(case.name, "did not finish")
+            continue
+        trial.suspect += failed_checks(result)
+        for target in targets:
+            value = found_in(result, target)
+            if value is None:
+                trial.failure = trial.failure or f"comes to no {target.label}"
+            else:
+                trial.values[target] = value
+
+
+def _judge(found: Calibration, seed: int) -> None:
+    """The posterior of the trials so far, and whether more of them would change it."""
+    searched = found.searched
+    points = np.array([trial.units for trial in searched])
+    values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
+              for target in found.task.targets}  # fmt: skip
+    for target, there in values.items():
+        if not np.isfinite(there).any():
+            raise WarpcreteError(
+                f"the {target.label} came out of none of {len(there)} runs; the first: "
+                f"{next((t.failure for t in searched if t.failure), 'it is not measured there')}"
+            )
+    if min(np.isfinite(there).sum() for there in values.values()) < 3:
+        return
+    before = found.posterior
+    found.posterior = now = posterior(found.task, points, values, seed)
+    doubt = max(now.doubt(target) for target in found.task.fitted)
+    moved = math.inf
+    if before is not None:
+        spread = np.maximum(now.samples.std(0), 1e-3)
+        moved = float(np.max(np.abs(now.samples.mean(0) - before.samples.mean(0)) / spread))
+    found.settled = doubt < CLEAR and moved < STILL
+
+
+def _proposed(
+    found: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """The next round: points of the unit cube and seeds; None when all is done."""
+    begun = settings["seed"] + len(found.trials)
+    if found.posterior is not None and (found.settled or left <= 0):
+        if settings["repeat"] == 0:
+            return None
+        units = [found.posterior.best.tolist()] * settings["repeat"]
+        return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
+    if left <= 0:
+        return None
+    count = min(settings["batch"], left)
+    if found.posterior is None:
+        units = _first(found, min(max(count, 2 * count - len(found.trials)), left), settings, modules)
+    else:
+        units = _next(found, count, settings["seed"] + len(found.trials))
+    return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False}
+
+
+def _first(
+    found: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+) -> list[list[float]]:
+    """Points that fill the ranges evenly, and what closed forms say where there are some."""
+    from scipy.stats import qmc
+
+    free = len(found.task.free)
+    sequence = qmc.Sobol(free, seed=settings["seed"])
+    skipped = len(found.trials)
+    known = [] if skipped else closed_form_start(found.task, modules)
+    many = sequence.random_base2(max(1, math.ceil(math.log2(skipped + count))))
+    return (known + many[skipped:].tolist())[:count]
+
+
+def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
+    """Points of the posterior, far from one another, and for each three of them one of Optuna's."""
+    assert found.posterior is not None
+    random = np.random.default_rng(seed)
+    hoped = _hoped(found, count // 4, seed)
+    taken = np.array([trial.units for trial in found.searched] + hoped)
+    drawn = random.choice(found.posterior.samples, min(256, len(found.posterior.samples)), replace=False)
+    chosen: list[list[float]] = [found.posterior.best.tolist()] if count - len(hoped) > 1 else []
+    width = np.maximum(found.posterior.samples.std(0), 1e-2)
+    while len(chosen) < count - len(hoped):
+        others = np.concatenate([taken, np.array(chosen).reshape(-1, taken.shape[1])])
+        distance = np.min((((drawn[:, None] - others[None]) / width) ** 2).sum(-1), axis=1)
+        chosen.append(drawn[np.argmax(distance)].tolist())
+    return hoped + chosen
+
+
+def _hoped(found: Calibration, count: int, seed: int) -> list[list[float]]:
+    """Points that Optuna asks for, told of all trials; failed ones break its constraint."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    names = [free.name for free in found.task.free]
+    ranges: Any = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=0))
+    for trial in found.searched:
+        off = [(trial.values[t] - t.value) / t.uncertainty for t in found.task.fitted if t in trial.values]
+        sound = len(off) == len(found.task.fitted)
+        study.add_trial(
+            optuna.trial.create_trial(
+                params=dict(zip(names, trial.units)), distributions=ranges,
+                value=float(np.sum(np.square(off))) if sound else 1e6, constraints={"failed": float(not sound)},
+            )
+        )  # fmt: skip
+    asked = [study.ask(ranges) for _ in range(count)]
+    return [[trial.params[name] for name in names] for trial in asked]

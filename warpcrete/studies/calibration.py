@@ -1,0 +1,119 @@
+"""A calibration: its trials, its answer, and what that does not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .posterior import Posterior, told_apart, unmoved
+from .targets import Target, Task
+
+Outcome = dict[Target, float]
+"""Values of a run's targets; those that it did not come to are left out."""
+FAR = 3.0
+"""Standard deviations between a target and the best that could be reached: it cannot be met."""
+
+
+@dataclass
+class Trial:
+    """A run, or several that share their parameters, of all scenes of the task."""
+
+    number: int
+    units: list[float]
+    """Place in the ranges."""
+    seed: int
+    proof: bool = False
+    """Of the likeliest parameters, after the search: it is compared, not fitted."""
+    values: Outcome = field(default_factory=dict)
+    failure: str = ""
+    """Why there is no value for a target."""
+    suspect: list[str] = field(default_factory=list)
+    """Checks of its runs that failed."""
+
+
+@dataclass(repr=False)
+class Calibration:
+    """A finished calibration, or what there is of it."""
+
+    folder: Path
+    task: Task
+    record: dict[str, Any]
+    trials: list[Trial] = field(default_factory=list)
+    posterior: Posterior | None = None
+    settled: bool = False
+    """Further runs would not change the answer."""
+    finished: bool = False
+    took: float = 0.0
+    """Wall time of this call [s]."""
+
+    def __repr__(self) -> str:
+        fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())
+        return f"<Calibration of {len(self.task.free)} parameters: {fitted or 'no answer yet'}, folder '{self.folder}'>"
+
+    @property
+    def best(self) -> dict[str, float]:
+        """Likeliest values of the free parameters; empty before there is an answer."""
+        return {} if self.posterior is None else self.task.values(self.posterior.best)
+
+    @property
+    def searched(self) -> list[Trial]:
+        """Trials that are fitted."""
+        return [trial for trial in self.trials if not trial.proof]
+
+    def proved(self, target: Target) -> list[float]:
+        """What runs with the likeliest parameters gave for a target."""
+        return [trial.values[target] for trial in self.trials if trial.proof and target in trial.values]
+
+    def off(self, target: Target) -> float:
+        """Best answer less the measured value, in standard deviations of the target."""
+        assert self.posterior is not None
+        runs = self.proved(target)
+        found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
+        return (found - target.value) / target.uncertainty
+
+    @property
+    def findings(self) -> list[str]:
+        """What the answer does not tell, in sentences."""
+        if self.posterior is None:
+            return []
+        found, task = self.posterior, self.task
+        said = []
+        still = unmoved(found, task.fitted)
+        for target, (low, high) in still.items():
+            names = ", ".join(free.name for free in task.free)
+            between = f"{target.words(low)} and {target.words(high)}"
+            said.append(f"the {target.label} is moved by none of {names}: it stays within {between}, measured is "
+                        f"{target.words(target.value)}")  # fmt: skip
+        for target in task.fitted:
+            if target not in still and abs(self.off(target)) > FAR:
+                said.append(f"no parameters within the ranges meet the {target.label} beside the others: it is "
+                            f"{abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
+        for place, free in enumerate(task.free):
+            if found.narrowing(place) > 0.8:
+                said.append(f"the data do not tell {free.name}: it is as uncertain as its range")
+        for one, other, correlation in told_apart(found):
+            way = "larger with smaller" if correlation < 0 else "larger with larger"
+            said.append(f"the data cannot tell {one} and {other} apart: {way} does as well (correlation "
+                        f"{correlation:.2f})")  # fmt: skip
+        for place, free in enumerate(task.free):
+            edge = min(found.best[place], 1 - found.best[place])
+            if edge < 0.02:
+                said.append(
+                    f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range: widen it"
+                )
+        failed = [trial for trial in self.searched if trial.failure]
+        if failed:
+            said.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; the first: "
+                        f"{failed[0].failure}")  # fmt: skip
+        checks = sorted({check for trial in self.trials for check in trial.suspect})
+        if checks:
+            runs = sum(bool(trial.suspect) for trial in self.searched)
+            proof = " and of the likeliest parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
+            said.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
+                        f"({', '.join(checks)}): their values are used, but look at them")  # fmt: skip
+        if not self.settled:
+            said.append("the search ended before further runs ceased to matter: give it more trials")
+        return said

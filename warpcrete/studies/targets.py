@@ -1,0 +1,271 @@
+"""What a calibration is asked: measured quantities of scenes, and parameters that are free within a range."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.concretes import concrete, is_file, read_yaml
+from ..core.errors import SceneError, refuse
+from ..core.method import Quantity
+from ..core.parameters import declared_fields
+from ..core.units import number, shown
+from ..methods import method_of
+
+KEYS = ("base", "vary", "targets")
+TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
+DECADE = 10.0
+"""Ranges whose ends are so far apart are searched by their logarithm, unless they say otherwise."""
+APART = 3.0
+"""Standard deviations between two values of the same quantity from which on they contradict one another."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is looked for."""
+
+    name: str
+    low: float
+    high: float
+    log: bool
+    """Searched by its logarithm."""
+    whole: bool
+    """A whole number."""
+
+    def value(self, unit: float) -> float:
+        """At a place of the range, 0 to 1."""
+        if self.log:
+            found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
+        else:
+            found = self.low + unit * (self.high - self.low)
+        return round(found) if self.whole else min(max(found, self.low), self.high)
+
+    def place(self, value: float) -> float:
+        """Of a value in the range, 0 to 1."""
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A quantity of a scene that was measured."""
+
+    scene: str
+    quantity: str
+    value: float
+    uncertainty: float
+    """Standard deviation [as the value]."""
+    parameters: Mapping[str, Any]
+    """Of the scene, besides those that are free."""
+    held_out: bool
+    """Is predicted and compared, but not fitted."""
+    unit: str
+
+    @property
+    def key(self) -> str:
+        """Targets of one run have one key."""
+        return json.dumps([self.scene, dict(self.parameters)], sort_keys=True, default=str)
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+                          for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
+        return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
+
+    def words(self, value: float) -> str:
+        """A value of the quantity as people read it."""
+        factor, unit = shown(self.unit)
+        return f"{value * factor:.4g} {unit}".strip()
+
+
+@dataclass(frozen=True)
+class Task:
+    """Targets and free parameters."""
+
+    base: str | None
+    """Concrete of which everything is that is not free; None: each scene's own."""
+    free: tuple[Free, ...]
+    targets: tuple[Target, ...]
+
+    @property
+    def groups(self) -> list[list[Target]]:
+        """Targets that one run answers."""
+        found: dict[str, list[Target]] = {}
+        for target in self.targets:
+            found.setdefault(target.key, []).append(target)
+        return list(found.values())
+
+    @property
+    def fitted(self) -> list[Target]:
+        return [target for target in self.targets if not target.held_out]
+
+    def values(self, units: Sequence[float]) -> dict[str, float]:
+        """Free parameters at a point of the unit cube."""
+        return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
+
+    def places(self, values: Mapping[str, float]) -> np.ndarray:
+        """The point of the unit cube of some values, shape (free,)."""
+        return np.array([free.place(values[free.name]) for free in self.free])
+
+    def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
+        """Of the target's scene, with those of the free parameters that it has."""
+        known = declared_fields(module.scene.parameters)
+        base = {"concrete": self.base} if self.base is not None and "concrete" in known else {}
+        return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
+
+
+def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, Any]]:
+    """The task of a file of targets, and the file as a mapping; raises :class:`SceneError` for anything wrong in it.
+
+    `warpcrete calibrate --help` shows one. Paths are meant from the file's folder.
+    """
+    raw = dict(read_yaml(path, "targets"))
+    base = raw.get("base")
+    if isinstance(base, str) and is_file(base):
+        raw["base"] = str((path.parent / base).resolve())
+    return task_of(raw, modules), raw
+
+
+def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any]) -> Task:
+    """The task of a mapping such as :func:`read_task` reads."""
+    for key in raw:
+        if key not in KEYS:
+            refuse("targets", key, "is no key of a file of targets", f"known are {', '.join(KEYS)}")
+    base = raw.get("base")
+    if base is not None:
+        concrete(str(base))
+    vary, listed = raw.get("vary"), raw.get("targets")
+    if not isinstance(vary, Mapping) or not vary:
+        refuse("vary", vary, "must be one parameter or more, each with its range", "for example 'friction: [0, 0.5]'")
+    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
+        refuse("targets", listed, "must be a list of one or more",
+               "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'")  # fmt: skip
+    targets = [_target(number, each, modules, vary) for number, each in enumerate(listed, 1)]
+    kinds = {name: _kind(str(name), targets, modules) for name in vary}
+    free = tuple(_free(str(name), given, kinds[name]) for name, given in vary.items())
+    if all(target.held_out for target in targets):
+        refuse("held_out", True, "is every target's", "fit at least one")
+    task = Task(None if base is None else str(base), free, tuple(targets))
+    task = Task(task.base, free, tuple(_checked(task, target, modules) for target in targets))
+    _agree(task.targets)
+    return task
+
+
+def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any]) -> Target:
+    called = f"target {place}"
+    if not isinstance(given, Mapping):
+        refuse(called, given, "must be 'key: value' pairs", f"keys are {', '.join(TARGET_KEYS)}")
+    for key in given:
+        if key not in TARGET_KEYS:
+            refuse(called, key, "is no key of a target", f"known are {', '.join(TARGET_KEYS)}")
+    missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
+    if missing:
+        refuse(called, dict(given), f"needs {', '.join(missing)}")
+    if given["scene"] not in modules:
+        refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}")
+    value = given["value"]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        refuse(f"{called} value", value, "must be a finite number, in SI units")
+    parameters = given.get("parameters") or {}
+    if not isinstance(parameters, Mapping):
+        refuse(f"{called} parameters", parameters, "must be 'name: value' pairs")
+    parameters = modules[given["scene"]].scene.resolved(parameters)
+    for name in vary:
+        if name in parameters:
+            refuse(f"{called} parameters", name, "is held there and varied at once", "leave out one of both")
+    held = given.get("held_out", False)
+    if not isinstance(held, bool):
+        refuse(f"{called} held_out", held, "must be true or false")
+    uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value))
+    return Target(given["scene"], str(given["quantity"]), float(value), uncertainty, parameters, held, "")
+
+
+def _uncertainty(called: str, given: Any, value: float) -> float:
+    """A standard deviation, given as a number or as a part of the value."""
+    found = re.fullmatch(r"\s*([0-9.]+)\s*%\s*", given) if isinstance(given, str) else None
+    if found:
+        given = float(found.group(1)) / 100 * abs(value)
+    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
+        refuse(called, given, "must be a number above 0 in the value's unit, or a part of it", "for example '5%'")
+    return float(given)
+
+
+def _kind(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> bool:
+    """Is a free parameter a whole number? It must be a number of at least one target's scene."""
+    scenes = dict.fromkeys(target.scene for target in targets)
+    fields = [declared_fields(modules[scene].scene.parameters).get(name) for scene in scenes]
+    kinds = {field.kind for field in fields if field is not None}
+    if not kinds:
+        refuse("vary", name, f"is no parameter of {', '.join(scenes)}", "'warpcrete run SCENE --help' lists them")
+    if kinds - {int, float} or name == "seed":
+        refuse("vary", name, "must be a parameter that is a number (and not the seed)")
+    return int in kinds
+
+
+def _free(name: str, given: Any, whole: bool) -> Free:
+    called = f"vary {name}"
+    scale = None
+    if isinstance(given, Mapping):
+        if set(given) - {"low", "high", "scale"} or not {"low", "high"} <= set(given):
+            refuse(called, dict(given), "must have low and high, and may have scale")
+        scale, given = given.get("scale"), [given["low"], given["high"]]
+    numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
+    if not numbers or not all(isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e)
+                              for e in given):  # fmt: skip
+        refuse(called, given, "must be [low, high], two finite numbers")
+    low, high = map(float, given)
+    if not low < high:
+        refuse(called, [low, high], "must be [low, high] with low below high", f"[{high:g}, {low:g}]?")
+    if scale not in (None, "log", "linear"):
+        refuse(f"{called} scale", scale, "must be log or linear")
+    if scale == "log" and low <= 0:
+        refuse(called, [low, high], "must be above 0 to be searched by its logarithm", "take scale: linear")
+    return Free(name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= DECADE), whole)
+
+
+def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
+    """The target with its unit: its scene can be made at both ends of every range, and has that quantity."""
+    module = modules[target.scene]
+    middle = [0.5] * len(task.free)
+    scene = module.scene(**task.parameters(target, task.values(middle), module))
+    for place, free in enumerate(task.free):
+        for end in (0.0, 1.0):
+            units = [*middle[:place], end, *middle[place + 1 :]]
+            try:
+                module.scene(**task.parameters(target, task.values(units), module))
+            except SceneError as error:
+                raise SceneError(f"vary {free.name} = {[free.low, free.high]}: {target.label}: {error}") from error
+    known: dict[str, Quantity] = {each.name: each for each in method_of(scene).quantities}
+    if target.quantity not in known:
+        refuse("quantity", target.quantity, f"is not measured in {target.scene}", f"known are {', '.join(known)}")
+    return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
+                  target.held_out, known[target.quantity].unit)  # fmt: skip
+
+
+def _agree(targets: Sequence[Target]) -> None:
+    """Refuse two values of one quantity that exclude each other."""
+    for place, one in enumerate(targets):
+        for other in targets[:place]:
+            scatter = math.hypot(one.uncertainty, other.uncertainty)
+            same = (one.key, one.quantity) == (other.key, other.quantity)
+            if same and abs(one.value - other.value) > APART * scatter:
+                apart = abs(one.value - other.value) / scatter
+                refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
+                       f"contradict one another: both are the {one.label}, {apart:.2g} standard deviations apart",
+                       "correct one, or widen their uncertainties")  # fmt: skip
+
+
+def found_in(result: Mapping[str, Any], target: Target) -> float | None:
+    """The target's quantity in a result.json; None where it is not there or no number."""
+    entry = result.get(target.quantity)
+    value = None if entry is None else number(entry)
+    return value if value is not None and math.isfinite(value) else None
