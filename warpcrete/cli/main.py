@@ -260,6 +260,21 @@ def trade_command(arguments: tuple[str, ...]) -> None:
     _part("trade").run(_by_method(list(arguments)), _scenes())
 
 
+@cli.command("reproduce")
+@click.argument("paper", required=False)
+@click.option("--quick", is_flag=True, help="coarse spheres for clumps and fewer cases: minutes on a CPU")
+@click.option("--seeds", type=int, default=1, show_default=True, help="of each case of discrete elements")
+@click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/reproduce-PAPER-NNN]")
+@click.option("--resume", type=click.Path(path_type=Path), help="go on: finished runs are used")
+@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--processes", type=click.IntRange(1, 1024), help="at a time on a CPU  [default: one a core]")
+@click.option("--quiet", is_flag=True, help="no progress bar")
+def reproduce_command(**settings: Any) -> None:
+    """Run what PAPER ran, zhan (discrete elements) or xu (flows), and report: the paper beside ours, literal and
+    calibrated, each of its trends judged; exits with 130 if it was interrupted."""
+    _part("reproduce").run(**settings)
+
+
 CALIBRATE_HELP = f"""From what was measured to a concrete's parameters: `warpcrete calibrate TARGETS.yaml [options]`.
 
 The file names quantities of scenes with their values and uncertainties, and parameters with the range of each. Runs go

@@ -44,7 +44,7 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     if module is None or getattr(module, "scene", None) is not scene:
         refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
     settings = {name: given.pop(name) for name in SETTINGS if name in given}
-    name = module.__name__.rpartition(".")[2]
+    name = module.__name__.rpartition(".")[2].replace("_", "-")
     return run_trade(name, module, base=given, out=Path(out) if out else next_folder("trade"), **settings)
 
 

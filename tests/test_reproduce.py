@@ -1,0 +1,103 @@
+"""What is said of a paper's claims, and a reproduction that is small enough to run."""
+
+import json
+import math
+
+import pytest
+from pumping import command
+
+from warpcrete import SceneError
+from warpcrete.scenes import modules
+from warpcrete.studies import papers
+from warpcrete.studies.papers import CONCRETES, ZHAN, flat, growing, late, linear, narrow, zhan_case
+from warpcrete.studies.reproduce import reproduce, zhan_studies
+from warpcrete.studies.reproduction import Reproduction, judged, key_of
+from warpcrete.studies.reproduction_report import write
+
+SPEEDS = (0.1, 0.3, 0.5, 0.7, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("judge", "values", "pressures", "holds"),
+    [
+        (flat, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.1], True),
+        (flat, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.6], False),
+        (linear, SPEEDS, [10.0, 11.0, 12.0, 13.1, 14.0], True),
+        (linear, SPEEDS, [14.0, 13.0, 12.0, 11.0, 10.0], False),  # straight, but it falls
+        (linear, SPEEDS, [10.0, 10.1, 10.4, 11.5, 14.0], False),
+        (linear, SPEEDS, [10.0, 10.01, 10.02, 10.03, 10.04], False),  # straight, but it hardly grows
+        (growing, SPEEDS, [10.0, 10.2, 12.0, 12.0, 14.0], True),
+        (growing, SPEEDS, [10.0, 12.0, 11.0, 13.0, 14.0], False),
+        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 39.5, 40.0], True),
+        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [50.0, 45.0, 40.0, 39.5, 40.0], False),
+        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 36.0, 33.0], False),
+        (late, (10, 20, 40, 60), [40.0, 40.5, 46.0, 60.0], True),
+        (late, (10, 20, 40, 60), [40.0, 45.0, 50.0, 60.0], False),
+        (late, (10, 20, 40, 60), [40.0, 40.0, 39.0, 38.0], False),
+    ],
+)
+def test_claims_are_judged(judge, values, pressures, holds):
+    assert judge(values, pressures)[0] is holds
+
+
+def test_every_case_of_the_paper_makes_a_scene():
+    found = Reproduction(None, "zhan", False, 2, "cpu")
+    pipe = modules()["pipe"].scene
+    studies = zhan_studies(found)
+    assert [group for group, *_ in studies] == [*CONCRETES, "calibrated, hydrated", "literal, hydrated"]
+    for _, _, cases in studies:
+        assert len({json.dumps(case, sort_keys=True) for case in cases}) == len(cases)
+        for case in cases:
+            assert pipe(**pipe.meaningful(case)).seed in (0, 1)
+    # Four units and 22 values, of which four are the reference case itself.
+    reference = zhan_case(ZHAN[4], 0.3, False)
+    assert reference["unit"] == "bend-to-vertical" and len(studies[0][2]) >= 2 * (4 + 22 - 5)
+
+
+def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
+    (row,) = [row for row in ZHAN if row.parameter == "velocity"]
+    found = Reproduction(tmp_path, "zhan", False, 2, "cpu")
+    for value in row.values:
+        for seed in (0, 1):
+            key = key_of("calibrated", {**zhan_case(row, value, False), **CONCRETES["calibrated"], "seed": seed})
+            if value == 0.9:
+                found.failures[key] = "overlap of body 7"
+            else:
+                found.results[key] = {
+                    "peak_pressure": {"value": 1e4 * (3 + value) + (2 * seed - 1) * 100, "unit": "Pa"}
+                }
+    means, verdict = judged(found, row, "calibrated")
+    assert means[:4] == pytest.approx([31e3, 33e3, 35e3, 37e3]) and math.isnan(means[4])
+    assert verdict.startswith("holds of those that ran to their ends (not 0.9)")
+    assert judged(found, row, "literal")[1] == ""
+    write(found)
+    text = (tmp_path / "reproduction.md").read_text()
+    assert "| calibrated | 31.0 | 33.0 | 35.0 | 37.0 | - |" in text and "overlap of body 7" in text
+    assert (tmp_path / "reproduction.png").stat().st_size > 5000
+
+
+def test_an_unknown_paper_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="paper = 'smith': must be one of zhan, xu"):
+        reproduce("smith", out=tmp_path / "out")
+    with pytest.raises(SceneError, match="seeds = 0: must be 1 or more"):
+        reproduce("xu", out=tmp_path / "out", seeds=0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
+    column = {"length": 0.2, "diameter": 0.1, "spacing": 0.02, "concrete": "no1"}
+    cases = {"flow": [("channel", column | {"flow": flow}) for flow in (1e-3, 2e-3)]}
+    monkeypatch.setattr("warpcrete.studies.reproduce.xu_cases", lambda quick: cases)
+    monkeypatch.setattr("warpcrete.studies.reproduction_report.xu_cases", lambda quick: cases)
+    found = reproduce("xu", out=tmp_path / "out", device="cpu", quick=True)
+    assert found.finished and len(found.results) == 2 and not found.failures
+    text = (found.folder / "reproduction.md").read_text()
+    assert text.count("| channel | no1 | flow 0.00") == 2 and "Pressure holds" in text
+    assert papers.XU_PRINTED["pressure"] == 9.40e3
+
+
+@pytest.mark.thorough
+def test_the_command_reproduces_xu_quickly(tmp_path):
+    done = command("reproduce", "xu", "--quick", "--out", tmp_path / "out", "--device", "cpu", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Pressure holds") == 4 and "differs" not in done.stdout

@@ -1,0 +1,42 @@
+"""`warpcrete reproduce`: what a paper ran, ours beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..core.errors import RunFolderError
+from ..core.files import next_folder
+from ..core.progress import ProgressBar
+from ..studies.reproduce import RECORD, reproduce, resume_reproduction
+from .run import INTERRUPTED
+
+
+def run(
+    paper: str | None, *, quick: bool, seeds: int, out: Path | None, resume: Path | None, device: str | None,
+    processes: int | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Reproduce a paper, or go on with it, and print the report."""
+    progress = ProgressBar()
+    tell = None if quiet else progress
+    try:
+        if resume is not None:
+            if paper is not None or out is not None or device is not None or quick or seeds != 1:
+                raise click.UsageError(f"resume = '{resume}': goes on as it began; leave out the rest")
+            if not (resume / RECORD).is_file():
+                raise RunFolderError(f"resume = '{resume}': is no reproduction's folder (it holds no {RECORD})")
+            found = resume_reproduction(resume, processes=processes, progress=tell)
+        elif paper is None:
+            raise click.UsageError("paper: name zhan or xu, or --resume FOLDER")
+        else:
+            folder = out or next_folder(f"reproduce-{paper}")
+            found = reproduce(paper, out=folder, quick=quick, seeds=seeds, device=device, processes=processes,
+                              progress=tell)  # fmt: skip
+    finally:
+        progress.close()
+    click.echo("\n" + (found.folder / "reproduction.md").read_text())
+    click.echo(f"folder: {found.folder}")
+    if not found.finished:
+        click.echo(f"go on with: warpcrete reproduce --resume {found.folder}")
+        raise SystemExit(INTERRUPTED)

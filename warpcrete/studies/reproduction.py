@@ -1,0 +1,75 @@
+"""A reproduction of a paper: its runs, and what they say of the paper's claims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.units import number
+from .papers import CONCRETES, UNITS, Row, zhan_case
+
+
+@dataclass(repr=False)
+class Reproduction:
+    """What came of it."""
+
+    folder: Path
+    paper: str
+    quick: bool
+    seeds: int
+    device: str | None
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """result.json of runs by :func:`key_of` their parameters."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """What ended a run."""
+    finished: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Reproduction of {self.paper}: {len(self.results)} runs, folder '{self.folder}'>"
+
+    def values(self, group: str, parameters: Mapping[str, Any], quantity: str) -> list[float]:
+        """Of a quantity, over the seeds of a case that came to it."""
+        found = []
+        for seed in range(self.seeds):
+            entry = self.results.get(key_of(group, {**parameters, "seed": seed}), {}).get(quantity)
+            if entry is not None and math.isfinite(number(entry)):
+                found.append(number(entry))
+        return found
+
+    def mean(self, group: str, parameters: Mapping[str, Any], quantity: str) -> float:
+        """Over seeds; NaN where no run came to it."""
+        found = self.values(group, parameters, quantity)
+        return float(np.mean(found)) if found else math.nan
+
+
+def key_of(group: str, parameters: Mapping[str, Any]) -> str:
+    """A name of a case, the same for the same parameters."""
+    return f"{group}: " + ", ".join(f"{name}={parameters[name]!r}" for name in sorted(parameters))
+
+
+def unit_case(unit: str, quick: bool) -> dict[str, Any]:
+    """Parameters of a unit."""
+    return zhan_case(Row("unit", "unit", UNITS, "", lambda values, pressures: (True, "")), unit, quick)
+
+
+def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
+    """Largest pressures of a row [Pa], NaN where a run failed, and a verdict in words; none where it was not run."""
+    group = f"{name}, hydrated" if row.is_hydrated else name
+    means = [found.mean(group, {**zhan_case(row, value, found.quick), **CONCRETES[name]}, "peak_pressure")
+             for value in row.values]  # fmt: skip
+    there = [k for k, mean in enumerate(means) if math.isfinite(mean)]
+    if not there:
+        return means, ""
+    if len(there) < len(means):
+        lost = ", ".join(f"{row.places[k]:g}" for k in range(len(means)) if k not in there)
+        if len(there) < 3:
+            return means, f"too few ran to their ends (not {lost})"
+        holds, what = row.judge([row.places[k] for k in there], [means[k] for k in there])
+        return means, f"{'holds' if holds else 'differs'} of those that ran to their ends (not {lost}): {what}"
+    holds, what = row.judge(row.places, means)
+    return means, f"{'holds' if holds else 'differs'}: {what}"
