@@ -169,7 +169,8 @@ def _xu(found: Reproduction) -> Iterator[str]:
     yield ""
     yield (
         "Channel: between planes, as the paper computes; tube: the round pipe that it means. Theory is the closed form "
-        "of that geometry. The paper reports errors below 3 %; it pairs a pipe's flow with a channel's balance of forces."
+        "of that geometry. The paper reports errors below 3 %, and pairs a pipe's flow with a channel's balance of "
+        "forces."
     )
     for group, cases in xu_cases(found.quick).items():
         yield ""
