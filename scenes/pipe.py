@@ -375,6 +375,8 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
             "aggregates are single spheres, which run several times as fast as the paper's clumps; "
             "--shapes reference uses clumps"
         )
+        if given.layer_yield or given.layer_viscosity:
+            yield "single spheres roll along the wall's layer where clumps slide: it bears much less than beside clumps"
     if sizes.largest > WIDEST_STONE * given.diameter:
         yield (
             f"the largest aggregates are {sizes.largest / given.diameter:.2g} of the pipe's diameter wide; above "

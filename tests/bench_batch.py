@@ -36,7 +36,7 @@ OWN = {"diameter": 0.150, "elbow_radius": 0.5, "velocity": 0.3, "size_max": 20e-
 
 def cases() -> list[dict]:
     """Parameters of the whole study: 27 cases and the four units, of which those on unit D's own values are one."""
-    base = dict(unit="bend-to-vertical", shapes="reference", **OWN)
+    base = dict(concrete="zhan-table1", unit="bend-to-vertical", shapes="reference", **OWN)
     found = [base | {name: value} for name, values in STUDY.items() for value in values]
     found += [base | {"unit": unit} for unit in UNITS]
     return list({tuple(case.items()): case for case in found}.values())
@@ -46,7 +46,9 @@ def prepared(count: int, device: str) -> list[Simulation]:
     """Case A with `count` velocities around 0.3 m/s, packed, bonded and driven to the start of pumping."""
     simulations = [
         Simulation(
-            scenes.pipe(shapes="reference", velocity=0.3 + 1e-3 * k, travel=1e-3, ramp=0.0, settle=0.3),
+            scenes.pipe(
+                concrete="zhan-table1", shapes="reference", velocity=0.3 + 1e-3 * k, travel=1e-3, ramp=0.0, settle=0.3
+            ),
             device=device,
             threads=1,
         )

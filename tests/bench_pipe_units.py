@@ -26,7 +26,9 @@ def measure(unit: str, shapes: str, device: str, seed: int) -> tuple[Run, float]
     """One run and the time it took, from the scene to the result [s]."""
     begun = time.perf_counter()
     travel = 0.25 * np.pi  # the elbow's arc, for all four
-    run = Simulation(scenes.pipe(unit=unit, shapes=shapes, seed=seed, travel=travel), device=device).run()
+    run = Simulation(
+        scenes.pipe(concrete="zhan-table1", unit=unit, shapes=shapes, seed=seed, travel=travel), device=device
+    ).run()
     return run, time.perf_counter() - begun
 
 

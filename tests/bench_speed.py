@@ -176,7 +176,9 @@ def recording_cost(arguments) -> None:
     from warpcrete.record.rerun import RerunRecorder
     from warpcrete.record.usd import UsdRecorder
 
-    scene = scenes.pipe(shapes=arguments.shapes, travel=arguments.travel, settle=0.2, sample_interval=0.02)
+    scene = scenes.pipe(
+        concrete="zhan-table1", shapes=arguments.shapes, travel=arguments.travel, settle=0.2, sample_interval=0.02
+    )
     kinds = {"Rerun": (RerunRecorder, "run.rrd"), "USD": (UsdRecorder, "scene.usdc")}
     ways = {"none": [], "Rerun": ["Rerun"], "USD": ["USD"], "both": ["Rerun", "USD"]}
     found: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}

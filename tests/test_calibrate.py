@@ -1,18 +1,23 @@
 """Calibration: known answers come back, what data cannot tell is said, wrong targets are refused, nothing is lost."""
 
+import dataclasses
 import importlib
 import json
 import math
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from pumping import command
 
-from warpcrete import SceneError, WarpcreteError
+from warpcrete import SceneError, WarpcreteError, scenes
 from warpcrete.methods import method_of
+from warpcrete.mps.theory import CONCRETES
 from warpcrete.scenes import modules
 from warpcrete.studies.calibrate import calibrate, resume_calibration
+from warpcrete.studies.calibration_report import concrete_of
 from warpcrete.studies.posterior import told_apart
 from warpcrete.studies.targets import read_task, task_of
 
@@ -175,6 +180,8 @@ targets:
         (("slip_viscosity", "slipviscosity"), "vary = 'slipviscosity': is no parameter of tube"),
         (("slip_viscosity: [500", "precision: [500"), "must be a parameter that is a number"),
         (("slip_viscosity: [500, 2000]", "length: [-1, 2]"), "vary length = [-1.0, 2.0]: pressure of tube"),
+        (("scene: tube", "scene: [tube]"), "target 1 scene = ['tube']: must be one of"),
+        (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; known are"),
         (("quantity: pressure, ", ""), "needs quantity"),
@@ -229,14 +236,83 @@ def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
     fitted, held = answer["targets"]
     assert abs(fitted["off"]) < 1 and held["held_out"] and held["runs"] and answer["trials"] == 4
     assert (out / "calibration.png").stat().st_size > 5000
-    text = (out / "concrete.yaml").read_text()
-    assert f"{answer['parameters']['slip_viscosity']['likeliest']:.6g}" in text
-    # The concrete that was found gives the pressure that was asked for.
-    told = command("theory", "--concrete", out / "concrete.yaml", "--flow", "1e-3")
-    assert told.returncode == 2  # of one constant nobody can tell a flow: the others are the targets' own
-    before = {p: p.stat().st_mtime_ns for p in out.rglob("result.json")}
+    # The concrete that was found is the one that was run.
+    best = answer["parameters"]["slip_viscosity"]["likeliest"]
+    mixed = scenes.channel(concrete=out / "concrete.yaml").concrete
+    assert mixed.slip_viscosity == pytest.approx(best, rel=1e-5)
+    assert dataclasses.replace(mixed, name="no1", slip_viscosity=893.0) == CONCRETES["no1"]
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("result.json")}
     again = resume_calibration(out, modules())
-    assert again.finished and {p: p.stat().st_mtime_ns for p in out.rglob("result.json")} == before
-    assert again.best["slip_viscosity"] == answer["parameters"]["slip_viscosity"]["likeliest"]
-    more = resume_calibration(out, modules(), trials=6)
-    assert len(more.searched) in (4, 6) and more.finished
+    assert again.finished and {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == before
+    assert again.best["slip_viscosity"] == best
+    with pytest.raises(SceneError, match="trials = 2: must be 4 or more"):
+        resume_calibration(out, modules(), trials=2)
+    more = resume_calibration(out, modules(), trials=7)
+    assert more.finished and all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
+    if not again.settled:
+        assert len(more.searched) == 7
+    # Every trial has the values of its own parameters: pressure grows evenly with the layer's viscosity.
+    (target, _) = more.task.targets
+    layers = [more.task.values(trial.units)["slip_viscosity"] for trial in more.trials]
+    pressures = [trial.values[target] for trial in more.trials]
+    line = np.polyfit(layers, pressures, 1)
+    assert np.abs(np.polyval(line, layers) - pressures).max() < 5e-3 * np.mean(pressures)
+    assert line[0] > 0
+
+
+def test_what_is_held_out_is_not_fitted(tmp_path, monkeypatch):
+    """Not by its value, and not by being there for some trials only."""
+
+    def run_round(found, *rest):
+        done = by_closed_form(0.0)(found, *rest)
+        held = found.task.targets[-1]
+        for trial in rest[2]:
+            if held.held_out and found.task.values(trial.units)["slip_viscosity"] > 600.0:
+                trial.values.pop(held)
+        return done
+
+    monkeypatch.setattr(SEARCH, "run_round", run_round)
+    plain = one_pressure()
+    other = asked(tube(1e-3), "pressure", 3000.0, held_out=True)
+    other["parameters"]["slip_yield"] = 10.0
+    both = plain | {"targets": [*plain["targets"], other]}
+    alone, beside = (
+        calibrate(raw, out=tmp_path / name, device="cpu", repeat=0, trials=10)
+        for name, raw in (("alone", plain), ("beside", both))
+    )
+    assert beside.best == alone.best and not [said for said in beside.findings if "failed" in said]
+    assert np.array_equal(beside.posterior.samples, alone.posterior.samples)
+
+
+def test_files_are_meant_from_the_targets_folder(tmp_path):
+    (tmp_path / "mine.yaml").write_text("base: no1\nflow: {density: 2400}")
+    path = tmp_path / "targets.yaml"
+    path.write_text(GOOD.replace("no1", "mine.yaml"))
+    task, raw = read_task(path, modules())
+    assert raw["targets"][0]["parameters"]["concrete"] == str(tmp_path / "mine.yaml")
+    assert task.targets[0].parameters["concrete"] == str(tmp_path / "mine.yaml")
+
+
+def test_the_file_of_a_pipes_concrete_holds_all_that_it_had(tmp_path):
+    """Also what the scene's default concrete brought along."""
+    raw = {"vary": {"friction": [0.0, 0.3]}, "targets": [
+        {"scene": "pipe", "quantity": "peak_pressure", "value": 3e4, "uncertainty": "5%"}]}  # fmt: skip
+    task = task_of(raw, modules())
+    found = SimpleNamespace(task=task, best={"friction": 0.123})
+    path = tmp_path / "concrete.yaml"
+    path.write_text(yaml.safe_dump(concrete_of(found, modules())))
+    ours, theirs = scenes.pipe(concrete=path), scenes.pipe(friction=0.123)
+    assert (ours.contact, ours.contacts, ours.bonds) == (theirs.contact, theirs.contacts, theirs.bonds)
+
+
+def test_too_few_values_are_told(tmp_path, monkeypatch):
+    def run_round(found, modules, place, trials, *rest):
+        for trial in trials:
+            trial.failure = "stopped"
+            if trial.number == 0:
+                trial.values, trial.failure = {found.task.targets[0]: 9000.0}, ""
+        return True
+
+    monkeypatch.setattr(SEARCH, "run_round", run_round)
+    with pytest.raises(WarpcreteError, match="came out of 1 of 8 runs, which is too few; the first that failed: stop"):
+        calibrate(one_pressure(), out=tmp_path / "out", device="cpu", trials=8)

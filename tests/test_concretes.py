@@ -53,7 +53,9 @@ def test_a_concrete_of_which_only_the_flow_is_known_has_its_layer_and_density():
     (law,) = scene.contacts.values()
     assert law.viscosity * COVERAGE == pytest.approx(flow["slip_viscosity"], rel=1e-12)
     assert law.yield_stress * COVERAGE == pytest.approx(flow["slip_yield"], rel=1e-12)
+    assert law.contact.friction == 0.0
     assert scene.fill.bulk_density == flow["density"]
+    assert scenes.pipe(concrete="no2", density=2600.0).fill.bulk_density is None
     assert scene.published is None
 
 
@@ -142,5 +144,7 @@ def test_the_command_takes_a_file(tmp_path):
     )
     done = command("theory", "--concrete", path)
     assert done.returncode == 0, done.stderr
+    first, other = (command("theory", "--concrete", path, *more).stdout for more in ((), ("--viscosity", "300")))
+    assert first != other  # an option goes before the file
     done = command("explain", "pipe", "--concrete", tmp_path / "not.yaml")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "not.yaml" in done.stderr

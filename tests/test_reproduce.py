@@ -70,6 +70,11 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
     assert means[:4] == pytest.approx([31e3, 33e3, 35e3, 37e3]) and math.isnan(means[4])
     assert verdict.startswith("holds of those that ran to their ends (not 0.9)")
     assert judged(found, row, "literal")[1] == ""
+    (sizes,) = [row for row in ZHAN if row.parameter == "diameter"]
+    for value in sizes.values[1:]:
+        key = key_of("calibrated", {**zhan_case(sizes, value, False), **CONCRETES["calibrated"], "seed": 0})
+        found.results[key] = {"peak_pressure": {"value": 4e4, "unit": "Pa"}}
+    assert judged(found, sizes, "calibrated")[1] == "too few ran to their ends (not 0.1)"
     write(found)
     text = (tmp_path / "reproduction.md").read_text()
     assert "| calibrated | 31.0 | 33.0 | 35.0 | 37.0 | - |" in text and "overlap of body 7" in text
@@ -101,3 +106,10 @@ def test_the_command_reproduces_xu_quickly(tmp_path):
     done = command("reproduce", "xu", "--quick", "--out", tmp_path / "out", "--device", "cpu", "--quiet")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("Pressure holds") == 4 and "differs" not in done.stdout
+    assert "not run" not in done.stdout and "Not judged" not in done.stdout
+
+
+def test_nothing_is_judged_that_did_not_run(tmp_path):
+    write(Reproduction(tmp_path, "xu", True, 1, "cpu"))
+    text = (tmp_path / "reproduction.md").read_text()
+    assert "Pressure holds" not in text and text.count("Not judged") == 4

@@ -25,7 +25,7 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     """Print the table for the parameters `given`, others at their defaults."""
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
-    values |= file_constants(values)
+    values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
     for name, field in known.items():
         field.check(values[name], name)
     thickness = values["slip_thickness"]

@@ -9,9 +9,10 @@ from typing import Any
 from ..core.concretes import NamedConcrete, concrete, known_only
 from ..core.errors import refuse
 
-COVERAGE = 1.3
-"""Area on which a lubrication layer acts (pi r^2 of every contact with the wall, which overlap) over that of the wall,
-of concrete with the contacts of Zhan's Table 1 packed to a kilopascal; measured by `tests/bench_layer.py`."""
+COVERAGE = 0.8
+"""Area on which a lubrication layer acts (pi r^2 of every contact with the wall) over that of the wall, of clumps with
+the contacts of Zhan's Table 1: 0.77 at 2.8 and 0.79 at 6.2 kPa, by `tests/bench_layer.py`. Single spheres roll along a
+layer instead of sliding, and bear 0.02 of it."""
 
 
 def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
@@ -26,17 +27,22 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     if not isinstance(name, str) or all(each in values for each in known):
         return {}
     found = concrete(name)
-    return known_only("elements", found.elements or _of_flow(found), known, name)
+    section = found.elements or _of_flow(found)
+    if "density" in values:  # of the aggregates: the concrete's own then says nothing
+        section = {key: value for key, value in section.items() if key != "bulk_density"}
+    return known_only("elements", section, known, name)
 
 
 def _of_flow(found: NamedConcrete) -> dict[str, Any]:
-    """Of a concrete whose flow alone is known: its density, and its slip layer; all else is Zhan's Table 1."""
+    """Of a concrete whose flow alone is known: its density, and its slip layer, which is all that walls do to it; all
+    else is Zhan's Table 1."""
     flow = found.flow
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
         refuse("concrete flow", ", ".join(missing), f"is missing (in {found.name})", "elements need it, or `elements`")
     return {
         "bulk_density": flow["density"],
+        "wall_friction": 0.0,
         "layer_yield": flow["slip_yield"] / COVERAGE,
         "layer_viscosity": flow["slip_viscosity"] / COVERAGE,
     }

@@ -132,7 +132,6 @@ class Fill:
     """Of the bodies [kg/m3]."""
     bulk_density: float | None = None
     """Of the filled container [kg/m3], instead: bodies bear what is between them, too."""
-    """[kg/m3]"""
     material: str = "aggregate"
     solid_fraction: float | None = None
     """Solid volume over container volume; give this or `pressure`."""

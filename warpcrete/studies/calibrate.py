@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import RunFolderError, WarpcreteError, positive, refuse
+from ..core.errors import RunFolderError, WarpcreteError, between, refuse
 from ..core.extras import needs_extra
 from ..core.files import check_new, next_folder, read_json, write_json
 from ..record.checks import failed_checks
@@ -30,6 +30,8 @@ from .targets import Target, Task, found_in, read_task, task_of
 
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
+FEWEST = 3
+"""Values of a target from which something can be said."""
 CLEAR = 0.5
 """Emulator's standard deviation over a target's uncertainty, below which further runs would not change the answer."""
 STILL = 0.25
@@ -76,13 +78,12 @@ def run_calibration(
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch
-    if most < 4:
-        refuse("trials", most, "must be 4 or more")
+    _check_trials(most)
     if at_once < 1:
         refuse("batch", at_once, "must be 1 or more")
     if repeat < 0:
         refuse("repeat", repeat, "must be 0 or more")
-    positive("seed", seed + 1, "")
+    between("seed", seed, 0, math.inf)
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
@@ -105,10 +106,15 @@ def resume_calibration(
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     record = _record(folder)
     if trials is not None:
+        _check_trials(trials)
         record["settings"]["trials"] = trials
-        record["rounds"] = [each for each in record["rounds"] if not each["proof"]]
         write_json(folder / RECORD, record)
     return _go_on(folder, modules, processes, scheduler, workers, progress)
+
+
+def _check_trials(most: int) -> None:
+    if most < 4:
+        refuse("trials", most, "must be 4 or more")
 
 
 def _record(folder: Path) -> dict[str, Any]:
@@ -146,7 +152,11 @@ def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, 
     place = 0
     while True:
         if place == len(rounds):
-            proposed = _proposed(found, most - len(found.searched), settings, modules)
+            left = most - len(found.searched)
+            if rounds and rounds[-1]["proof"] and (found.settled or left <= 0):
+                found.finished = True
+                return
+            proposed = _proposed(found, left, settings, modules)
             if proposed is None:
                 break
             rounds.append(proposed)
@@ -154,16 +164,14 @@ def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, 
         each = rounds[place]
         trials = [Trial(len(found.trials) + k, list(units), each["seeds"][k], each["proof"])
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        whole = len(found.trials) + len(trials) if each["proof"] else most
-        part = (len(found.trials) / max(whole, 1), len(trials) / max(whole, 1))
+        whole = max(most, len(found.trials) + len(trials))
+        part = (min(len(found.trials) / whole, 1.0), len(trials) / whole)
         if not run_round(found, modules, place, trials, where, tell, part):
             return
         found.trials += trials
         place += 1
-        if each["proof"]:
-            found.finished = True
-            return
-        _judge(found, settings["seed"] + place)
+        if not each["proof"]:
+            _judge(found, settings["seed"] + place)
     found.finished = settings["repeat"] == 0
 
 
@@ -220,18 +228,19 @@ def _ran(
 
 def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
     """Note what the runs of a scene came to."""
-    for trial, case in zip(trials, study.cases):
+    for trial, case in zip(trials, study.cases, strict=True):
         result = study.results.get(case.name)
         if result is None:
-            trial.failure = trial.failure or study.failures.get(case.name, "did not finish")
+            if not all(target.held_out for target in targets):
+                trial.failure = trial.failure or study.failures.get(case.name, "did not finish")
             continue
         trial.suspect += failed_checks(result)
         for target in targets:
             value = found_in(result, target)
-            if value is None:
-                trial.failure = trial.failure or f"comes to no {target.label}"
-            else:
+            if value is not None:
                 trial.values[target] = value
+            elif not target.held_out:
+                trial.failure = trial.failure or f"comes to no {target.label}"
 
 
 def _judge(found: Calibration, seed: int) -> None:
@@ -240,14 +249,18 @@ def _judge(found: Calibration, seed: int) -> None:
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
               for target in found.task.targets}  # fmt: skip
-    for target, there in values.items():
-        if not np.isfinite(there).any():
+    for target in found.task.fitted:
+        count = int(np.isfinite(values[target]).sum())
+        why = next((trial.failure for trial in searched if trial.failure), "it is not measured there")
+        if count == 0:
+            raise WarpcreteError(f"the {target.label} came out of none of {len(searched)} runs; the first: {why}")
+        if count < FEWEST and len(searched) < found.record["settings"]["trials"]:
+            return
+        if count < FEWEST:
             raise WarpcreteError(
-                f"the {target.label} came out of none of {len(there)} runs; the first: "
-                f"{next((t.failure for t in searched if t.failure), 'it is not measured there')}"
+                f"the {target.label} came out of {count} of {len(searched)} runs, which is too few; the first that "
+                f"failed: {why}; take other ranges, or go on with more trials"
             )
-    if min(np.isfinite(there).sum() for there in values.values()) < 3:
-        return
     before = found.posterior
     found.posterior = now = posterior(found.task, points, values, seed)
     doubt = max(now.doubt(target) for target in found.task.fitted)

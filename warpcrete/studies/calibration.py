@@ -64,11 +64,13 @@ class Calibration:
         return [trial for trial in self.trials if not trial.proof]
 
     def proved(self, target: Target) -> list[float]:
-        """What runs with the likeliest parameters gave for a target."""
-        return [trial.values[target] for trial in self.trials if trial.proof and target in trial.values]
+        """What runs with the likeliest parameters gave for a target; those of an answer before more trials are left
+        out."""
+        last = [trial for trial in self.trials if trial.proof and trial.units == self.trials[-1].units]
+        return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Best answer less the measured value, in standard deviations of the target."""
+        """Best answer less the measured value, in standard deviations of the target; NaN where nothing is known."""
         assert self.posterior is not None
         runs = self.proved(target)
         found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]

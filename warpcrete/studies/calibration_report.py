@@ -65,13 +65,14 @@ def target_table(found: Calibration) -> list[str]:
     ]
     for target in found.task.targets:
         mean, deviation = _predicted(found, target)
+        predicted = f"{target.words(mean)} +- {_shown(target, deviation)}" if np.isfinite(mean) else "too few runs"
         runs = found.proved(target)
         scatter = f" +- {_shown(target, float(np.std(runs, ddof=1)))}" if len(runs) > 1 else ""
         tried = f"{target.words(float(np.mean(runs)))}{scatter}" if runs else "not run"
         held = " (held out)" if target.held_out else ""
         lines.append(
             f"| {target.label}{held} | {target.words(target.value)} +- {_shown(target, target.uncertainty)} "
-            f"| {tried} | {target.words(mean)} +- {_shown(target, deviation)} | {found.off(target):+.1f} |"
+            f"| {tried} | {predicted} | {found.off(target):+.1f} |"
         )
     return lines
 
@@ -114,18 +115,30 @@ def answer(found: Calibration) -> dict[str, Any]:
 
 
 def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
-    """The file of a concrete: its base and what was found of it; empty where no parameter is a concrete's."""
-    sections: dict[str, dict[str, float]] = {}
+    """The file of a concrete: all that the scenes had of it and agree on; empty where no parameter is a concrete's."""
+    sections: dict[str, dict[str, Any]] = {}
+    names: set[Any] = set()
     for target in found.task.targets:
-        section, known = modules[target.scene].scene.parameters.of_concrete()
-        for name, value in found.best.items():
-            if name in known:
-                sections.setdefault(section, {})[name] = float(f"{value:.6g}")
-    if not sections:
+        scene = modules[target.scene].scene
+        section, known = scene.parameters.of_concrete()
+        given = found.task.parameters(target, found.best, modules[target.scene])
+        names.add(given.get("concrete"))
+        values = {name: value for name, value in scene.completed(given).items() if name in known and value is not None}
+        if section and section in sections:
+            both = sections[section]
+            sections[section] = {name: both[name] for name in both if values.get(name) == both[name]}
+        elif section:
+            sections[section] = values
+    if not any(name in section for section in sections.values() for name in found.best):
         return {}
     fitted = ", ".join(f"{target.label} = {target.words(target.value)}" for target in found.task.fitted)
-    base = {"base": found.task.base} if found.task.base is not None else {}
-    return {"calibrated": f"{', '.join(found.best)}, on {fitted}", **base, **sections}
+    base = names.pop() if len(names) == 1 else found.task.base
+    rounded = {
+        section: {name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in values.items()}
+        for section, values in sections.items()
+    }
+    head = {"calibrated": f"{', '.join(found.best)}, on {fitted}"}
+    return head | ({} if base in (None, "own") else {"base": base}) | rounded
 
 
 def draw(found: Calibration) -> Any:

@@ -84,6 +84,9 @@ def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str
     return level and grown, f"of the first two {what}; then {how}"
 
 
+OF_ALL = (narrow, late)
+"""Judges that go by single values, so that none may be missing."""
+
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
         "150, 175 and 200 mm nearly equal, steeply more below", narrow, printed={0.100: 72.99e3, 0.150: 38.58e3}),

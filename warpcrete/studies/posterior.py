@@ -8,6 +8,7 @@ is sampled by an ensemble of walkers (Goodman & Weare 2010).
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -62,14 +63,16 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Of fitted and held-out targets."""
+    """Of fitted targets, and of those held out that have values."""
     samples: np.ndarray
     """Points of the unit cube, shape (n, free), as likely as the targets make them."""
     best: np.ndarray
     """The likeliest point, shape (free,)."""
 
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
-        """Mean and standard deviation of a target's quantity over the posterior, or at points."""
+        """Mean and standard deviation of a target's quantity over the posterior, or at points; NaN without values."""
+        if target not in self.emulators:
+            return math.nan, math.nan
         mean, deviation = self.emulators[target](self.samples if points is None else points)
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
@@ -100,8 +103,8 @@ class Posterior:
 def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int) -> Posterior:
     """The posterior of runs at `points` of the unit cube, shape (n, free).
 
-    `values` holds what they gave for each target, shape (n,), NaN where a run failed. Raises ValueError where a target
-    has fewer than three values.
+    `values` holds what they gave for each target, shape (n,), NaN where a run failed: three or more of every
+    fitted one.
     """
     import emcee
     from scipy.optimize import minimize
@@ -109,10 +112,10 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
     emulators = {}
     for target, found in values.items():
         there = np.isfinite(found)
-        if there.sum() < 3:
-            raise ValueError(target.label)
+        if target.held_out and there.sum() < 3:
+            continue
         emulators[target] = Emulator(points[there], found[there], 1e-3 * target.uncertainty)
-    sound = np.all([np.isfinite(found) for found in values.values()], axis=0)
+    sound = np.all([np.isfinite(values[target]) for target in task.fitted], axis=0)
 
     def likelihood(at: np.ndarray) -> np.ndarray:
         inside = np.all((at >= 0) & (at <= 1), axis=1)
@@ -170,7 +173,7 @@ def told_apart(found: Posterior, close: float = 0.9) -> list[tuple[str, str, flo
 
 
 def unmoved(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
-    """Targets that no free parameter moves by as much as a fifth of their uncertainty or of the runs' scatter."""
+    """Targets that no free parameter moves by as much as a fifth of their uncertainty, or as the runs' scatter."""
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {
         target: (low, high)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.units import number
-from .papers import CONCRETES, UNITS, Row, zhan_case
+from .papers import CONCRETES, OF_ALL, UNITS, Row, zhan_case
 
 
 @dataclass(repr=False)
@@ -67,7 +67,7 @@ def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
         return means, ""
     if len(there) < len(means):
         lost = ", ".join(f"{row.places[k]:g}" for k in range(len(means)) if k not in there)
-        if len(there) < 3:
+        if len(there) < 3 or row.judge in OF_ALL:
             return means, f"too few ran to their ends (not {lost})"
         holds, what = row.judge([row.places[k] for k in there], [means[k] for k in there])
         return means, f"{'holds' if holds else 'differs'} of those that ran to their ends (not {lost}): {what}"

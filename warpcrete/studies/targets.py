@@ -15,7 +15,7 @@ import numpy as np
 from ..core.concretes import concrete, is_file, read_yaml
 from ..core.errors import SceneError, refuse
 from ..core.method import Quantity
-from ..core.parameters import declared_fields
+from ..core.parameters import Field, FileIf, declared_fields
 from ..core.units import number, shown
 from ..methods import method_of
 
@@ -126,17 +126,20 @@ class Task:
 def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, Any]]:
     """The task of a file of targets, and the file as a mapping; raises :class:`SceneError` for anything wrong in it.
 
-    `warpcrete calibrate --help` shows one. Paths are meant from the file's folder.
+    `warpcrete calibrate --help` shows one. Files in it are meant from its folder.
     """
     raw = dict(read_yaml(path, "targets"))
-    base = raw.get("base")
-    if isinstance(base, str) and is_file(base):
-        raw["base"] = str((path.parent / base).resolve())
-    return task_of(raw, modules), raw
+    if isinstance(raw.get("base"), str) and is_file(raw["base"]):
+        raw["base"] = str((path.parent / raw["base"]).resolve())
+    task = task_of(raw, modules, path.parent)
+    raw["targets"] = [
+        {**each, "parameters": dict(target.parameters)} for each, target in zip(raw["targets"], task.targets)
+    ]
+    return task, raw
 
 
-def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any]) -> Task:
-    """The task of a mapping such as :func:`read_task` reads."""
+def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
+    """The task of a mapping such as :func:`read_task` reads; files in it are meant from `folder`."""
     for key in raw:
         if key not in KEYS:
             refuse("targets", key, "is no key of a file of targets", f"known are {', '.join(KEYS)}")
@@ -149,7 +152,9 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any]) -> Task:
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
         refuse("targets", listed, "must be a list of one or more",
                "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'")  # fmt: skip
-    targets = [_target(number, each, modules, vary) for number, each in enumerate(listed, 1)]
+    targets = [_target(number, each, modules, vary, folder or Path()) for number, each in enumerate(listed, 1)]
+    if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
+        refuse("base", base, "is taken by none of the targets' scenes", "leave it out")
     kinds = {name: _kind(str(name), targets, modules) for name in vary}
     free = tuple(_free(str(name), given, kinds[name]) for name, given in vary.items())
     if all(target.held_out for target in targets):
@@ -160,7 +165,11 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any]) -> Task:
     return task
 
 
-def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any]) -> Target:
+def _known(modules: Mapping[str, Any], scene: str) -> Mapping[str, Field]:
+    return declared_fields(modules[scene].scene.parameters)
+
+
+def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any], folder: Path) -> Target:
     called = f"target {place}"
     if not isinstance(given, Mapping):
         refuse(called, given, "must be 'key: value' pairs", f"keys are {', '.join(TARGET_KEYS)}")
@@ -170,7 +179,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
         refuse(called, dict(given), f"needs {', '.join(missing)}")
-    if given["scene"] not in modules:
+    if not isinstance(given["scene"], str) or given["scene"] not in modules:
         refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}")
     value = given["value"]
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -179,6 +188,10 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     if not isinstance(parameters, Mapping):
         refuse(f"{called} parameters", parameters, "must be 'name: value' pairs")
     parameters = modules[given["scene"]].scene.resolved(parameters)
+    for name, field in _known(modules, given["scene"]).items():
+        files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
+        if any(rule.test(parameters[name]) for rule in files):
+            parameters[name] = str((folder / parameters[name]).resolve())
     for name in vary:
         if name in parameters:
             refuse(f"{called} parameters", name, "is held there and varied at once", "leave out one of both")
@@ -191,7 +204,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
 
 def _uncertainty(called: str, given: Any, value: float) -> float:
     """A standard deviation, given as a number or as a part of the value."""
-    found = re.fullmatch(r"\s*([0-9.]+)\s*%\s*", given) if isinstance(given, str) else None
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
