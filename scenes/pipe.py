@@ -376,7 +376,7 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
             "--shapes reference uses clumps"
         )
         if given.layer_yield or given.layer_viscosity:
-            yield "single spheres roll along the wall's layer where clumps slide: it bears much less than beside clumps"
+            yield "single spheres roll along the wall's layer where clumps slide, so it bears less than beside clumps"
     if sizes.largest > WIDEST_STONE * given.diameter:
         yield (
             f"the largest aggregates are {sizes.largest / given.diameter:.2g} of the pipe's diameter wide; above "

@@ -9,13 +9,13 @@ from conftest import devices
 from warpcrete import Simulation, scenes
 from warpcrete.core.run_loop import Run
 
-SMALL = dict(diameter=0.10, length=0.20, travel=0.15, ramp=0.05, size_min=7e-3, size_max=16e-3)
+SMALL = dict(concrete="zhan-table1", diameter=0.10, length=0.20, travel=0.15, ramp=0.05, size_min=7e-3, size_max=16e-3)
 
 
 @functools.cache
 def pumped(device: str, **changes) -> Run:
     """The default case, a metre of spheres, once for all tests."""
-    return Simulation(scenes.pipe(**changes), device=device).run()
+    return Simulation(scenes.pipe(concrete="zhan-table1", **changes), device=device).run()
 
 
 def figures(run: Run) -> tuple[float, float]:

@@ -22,14 +22,14 @@ def draw(study: Any) -> Any:
     from matplotlib.figure import Figure
 
     names = study.varied or ["seed"]
-    units = list(dict.fromkeys(each.unit for each in study.quantities))
+    units = list(dict.fromkeys(each.unit for each in study.compared))
     across = min(len(names), ACROSS)
     down = len(units) * -(-len(names) // ACROSS)
     figure = Figure(figsize=(4.8 * across + 0.6, 3.4 * down), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False)
     rows = study.rows()
     for block, unit in enumerate(units):
-        drawn = [each for each in study.quantities if each.unit == unit]
+        drawn = [each for each in study.compared if each.unit == unit]
         for place, name in enumerate(names):
             axes = grid[block * (down // len(units)) + place // ACROSS, place % ACROSS]
             _panel(axes, study, rows, name, drawn)

@@ -70,6 +70,12 @@ class Study:
         return {name: checks for name, checks in found.items() if checks}
 
     @property
+    def compared(self) -> list[Quantity]:
+        """Quantities that some case came to; all of them before there is one."""
+        results = self.results.values()
+        return [each for each in self.quantities if not results or any(each.name in result for result in results)]
+
+    @property
     def varied(self) -> list[str]:
         """Names of the parameters that vary."""
         return list(dict.fromkeys(key for case in self.cases for key in case.varied))
@@ -87,7 +93,7 @@ class Study:
         for members in groups.values():
             row: dict[str, Any] = dict(members[0].varied)
             done = [self.results[c.name] for c in members if c.name in self.results]
-            for each in self.quantities:
+            for each in self.compared:
                 values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
                 row[each.name] = float(np.mean(values)) if values else float("nan")
                 row[f"{each.name}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
@@ -99,13 +105,12 @@ class Study:
 
     def table(self) -> str:
         """Markdown table, in the units that people read."""
-        quantities = [each for each in self.quantities if any(each.name in result for result in self.results.values())]
-        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in quantities]
+        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.compared]
         head = [*map(self.heading, self.varied), *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
         for row in self.rows():
             cells = [str(row.get(name, "")) for name in self.varied]
-            for each in quantities:
+            for each in self.compared:
                 factor = shown(each.unit)[0]
                 mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
                 text = f"{mean:.2f}" if np.isfinite(mean) else "none"
@@ -116,7 +121,7 @@ class Study:
     def write(self, figure: bool = True) -> None:
         """Table as Markdown and CSV, and the figure, of what there is."""
         rows = self.rows()
-        units = {each.name: each.unit for each in self.quantities}
+        units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
         with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="") as file:
