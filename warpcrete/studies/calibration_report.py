@@ -172,9 +172,21 @@ def draw(found: Calibration) -> Any:
                          ylabel=up.name if column == 0 else "")  # fmt: skip
             here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
                      xlabel=across.name if row == free - 1 else "")  # fmt: skip
+            for axis, of in ((here.xaxis, across), (here.yaxis, up)):
+                if of.log and (axis is here.xaxis or row != column):
+                    _few_ticks(axis)
     axes[0][0].legend(fontsize="small")
     figure.suptitle("what the data allow")
     return figure
+
+
+def _few_ticks(axis: Any) -> None:
+    """1, 2 and 5 of each decade, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _bins(free: Any) -> np.ndarray:
