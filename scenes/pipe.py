@@ -12,6 +12,7 @@ from dataclasses import asdict, fields, replace
 
 import numpy as np
 
+from warpcrete.core.concretes import concrete, shipped
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Trading
 from warpcrete.core.parameters import Above, Within, scene_function
@@ -370,6 +371,8 @@ def _fractions(text: str | None) -> tuple[float, ...] | None:
 
 def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
     """What is simplified, left unused or outside what is pumped."""
+    if given.concrete in shipped() and concrete(given.concrete).calibrated:
+        yield f"concrete {given.concrete}: calibrated {concrete(given.concrete).calibrated}"
     if given.shapes == "spheres":
         yield (
             "aggregates are single spheres, which run several times as fast as the paper's clumps; "

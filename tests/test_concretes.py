@@ -41,6 +41,8 @@ def test_the_default_is_table_1_with_a_layer_on_walls():
     assert literal.contacts == {} and literal.contact == Contact()
     assert scene.published == literal.published is not None
     assert scenes.pipe(layer_viscosity=100.0).published is None
+    assert any("on the ends of units A and B" in remark for remark in scene.remarks)
+    assert not any("calibrated" in remark for remark in literal.remarks)
 
 
 def test_what_is_given_goes_before_the_concrete():
