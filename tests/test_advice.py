@@ -70,7 +70,7 @@ def test_the_nearest_shipped_trade_is_taken():
     literal = {"unit": "D", "concrete": "zhan-table1"}  # of which trades are
     assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, literal, 0.2).outside
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
-    assert layered == ("concrete zhan for zhan-table1", "layer_viscosity 900 for 0")
+    assert layered == ("concrete zhan for zhan-table1", "wall_friction 0.034 for None", "layer_viscosity 1190 for 0")
     assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
     assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert shipped("nothing", pipes, {}, False) is None

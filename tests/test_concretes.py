@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from dataclasses import replace
 
 import pytest
 from pumping import SMALL, command
@@ -37,7 +38,10 @@ def test_every_shipped_concrete_makes_a_pipe(name):
 def test_the_default_is_table_1_with_a_layer_on_walls():
     scene, literal = scenes.pipe(), scenes.pipe(concrete="zhan-table1")
     (law,) = scene.contacts.values()
-    assert law == LubricationLayer(contact=literal.contact, viscosity=concrete("zhan").elements["layer_viscosity"])
+    fitted = concrete("zhan").elements
+    assert law == LubricationLayer(
+        contact=replace(literal.contact, friction=fitted["wall_friction"]), viscosity=fitted["layer_viscosity"]
+    )
     assert literal.contacts == {} and literal.contact == Contact()
     assert scene.published == literal.published is not None
     assert scenes.pipe(layer_viscosity=100.0).published is None

@@ -114,9 +114,10 @@ PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (
 CONCRETES: dict[str, dict[str, Any]] = {
     "literal": {"concrete": "zhan-table1"},
     "calibrated": {"concrete": "zhan"},
-    "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62},
+    "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""The paper's Table 1; with the wall layer calibrated on A and B; the same with stones of 1e7 Pa, loosely packed."""
+"""The paper's Table 1; with layer and friction of the wall calibrated on A and B; the same with stones of 1e7 Pa,
+loosely packed, for which the layer is another (and the friction the same)."""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """What --quick runs instead of clumps of 5 to 20 mm."""
 

@@ -15,8 +15,10 @@ from .reproduction import Reproduction, judged, key_of, unit_case
 
 WHAT = {
     "literal": "Table 1 as it is printed",
-    "calibrated": "with a wall layer of 900 Pa s/m, fitted to the ends of units A and B only; all else is predicted",
-    "stiff stones": "that layer, and contacts of 1e7 Pa packed to a solid fraction of 0.62 instead of 1e5 Pa and 1 kPa",
+    "calibrated": "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the ends of units A and B "
+    "only; all else is predicted",
+    "stiff stones": "contacts of 1e7 Pa packed to a solid fraction of 0.62 instead of 1e5 Pa and 1 kPa; the layer, "
+    "1660 Pa s/m, fitted to the same ends",
 }
 
 VARIED = {"flow": "flow", "resolution": "spacing", "slip layer": "slip_thickness"}
