@@ -114,6 +114,30 @@ def test_the_moment_of_a_pair_grows_with_the_turn_up_to_its_limit_and_outlives_r
     assert found[0] == found[1]
 
 
+def test_shells_of_mortar_bend_up_to_a_moment_and_drag(start):
+    """A disc of radius r: k_r = r^2/4 of its normal stiffness, limit 4/3 r^3 of the root of 3 tau_0, drag likewise."""
+    law = BinghamMortar(effective_modulus=1e6, shell_modulus=2e4, yield_stress=80.0, plastic_viscosity=0.0)
+    area, shell = math.pi * RADIUS**2, 0.1 * 2 * RADIUS
+    stiffness, limit = RADIUS**2 / 4 * 2e4 * area / shell, 4 / 3 * RADIUS**3 * math.sqrt(3) * 80.0
+    stepper = start(rolling_pair(law, overlap=1e-4))
+    stepper.take(100)
+    moment = np.linalg.norm(stepper.state.pairs.rolling.numpy()[0])
+    assert moment == pytest.approx(stiffness * 99e-5, rel=1e-5) and moment < limit
+    stepper.take(int(limit / stiffness / 1e-5))
+    assert np.linalg.norm(stepper.state.pairs.rolling.numpy()[0]) == pytest.approx(limit, rel=1e-5)
+    spins = []
+    for viscosity in (0.0, 4.0):
+        # Light enough that moments turn them: what is lost more in a step is 3 mu A r^2 / 4h times the turning.
+        scene = rolling_pair(dataclasses.replace(law, plastic_viscosity=viscosity, yield_stress=0.0), overlap=1e-4)
+        scene = dataclasses.replace(scene, bodies=(dataclasses.replace(scene.bodies[0], density=1e6),))
+        stepper = start(dataclasses.replace(scene, time_step=TimeStep(fixed=1e-6)))
+        stepper.take(101)
+        spins.append(by_id(stepper.state, "spin")[0, 1])
+    inertia = 0.4 * 1e6 * 4 / 3 * math.pi * RADIUS**3 * RADIUS**2
+    braked = 3 * 4.0 * area / shell * RADIUS**2 / 4 * 1.0 / inertia * 100e-6
+    assert spins[0] == pytest.approx(0.5, rel=1e-6) and spins[0] - spins[1] == pytest.approx(braked, rel=1e-2)
+
+
 def crowd(count=5, law=LAW):
     """Spheres of several sizes that fall on a floor."""
     random = np.random.default_rng(5)

@@ -4,9 +4,13 @@
 A sphere's radius includes its shell. Where only shells overlap, mortar transmits a weak spring, a yield stress
 and viscous drag; once the cores meet, the stiff spring of the aggregates joins. All mortar stresses act on
 A = pi r^2 over the thickness h of the two shells: normal k A E_m/h with drag 3 mu A/h (Trouton's ratio), shear
-yield tau_0 A and drag mu A/h.
+yield tau_0 A and drag mu A/h. What shears also pulls and bends: a disc of radius r between two spheres that part
+yields at the root of 3 times tau_0 (von Mises), and one that is bent at a moment of 4/3 r^3 of that stress; its
+elastic and viscous moments are those of a disc, r^2/4 of its normal ones. Without pull and moment no heap stands, as
+spheres roll on each other and off each other.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -35,6 +39,12 @@ class BinghamMortar(ContactLaw):
     shell_modulus: Annotated[float, "stiffness of the mortar against compression [Pa]", Above()] = 1e4
     yield_stress: Annotated[float, "tau_0 of the mortar [Pa]", Within(0)] = 50.0
     plastic_viscosity: Annotated[float, "mu of the mortar [Pa s]", Within(0)] = 5.0
+    tension: Annotated[float, "pull that a shell bears over tau_0 A; 0: none", Within(0)] = math.sqrt(3)
+    bending: Annotated[float, "moment that a shell bears over tau_0 A r; 0: spheres roll freely", Within(0)] = (
+        4 / math.sqrt(3) / math.pi
+    )
+
+    rolls = True
 
     @property
     def stress_scale(self) -> float:
@@ -49,14 +59,14 @@ class BinghamMortar(ContactLaw):
         return True  # mortar drags
 
     def frictionless(self) -> "BinghamMortar":
-        return replace(self, friction=0.0, yield_stress=0.0)
+        return replace(self, friction=0.0, yield_stress=0.0, bending=0.0)
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
         t = types(scalar)
         f = contact_functions(scalar)
         Touch = f.Touch
-        shear_spring = f.shear_spring
+        shear_spring, plane_spring = f.shear_spring, f.plane_spring
         Parameters = parameters
 
         @wp.func
@@ -68,6 +78,16 @@ class BinghamMortar(ContactLaw):
             return p.shell_modulus * area(touch) / (p.shell_fraction * touch.length)
 
         @wp.func
+        def shell_drag(p: Parameters, touch: Touch):
+            return p.plastic_viscosity * area(touch) / (p.shell_fraction * touch.length)
+
+        @wp.func
+        def bending(p: Parameters, touch: Touch):
+            """Spring [N m/rad] and dashpot [N m s/rad] of a disc that is bent."""
+            square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
+            return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
+
+        @wp.func
         def core_overlap(p: Parameters, touch: Touch):
             return wp.max(-touch.gap - p.shell_fraction * touch.length, scalar(0.0))
 
@@ -76,9 +96,16 @@ class BinghamMortar(ContactLaw):
             # As if the cores touched: they may do so within the steps until the next estimate.
             core = p.effective_modulus * area(touch) / touch.length
             kn = shell_stiffness(p, touch) + core
-            drag = p.plastic_viscosity * area(touch) / (p.shell_fraction * touch.length)
+            drag = shell_drag(p, touch)
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
-            return t.vec4(kn, kn * p.shear_to_normal, cn, drag)
+            ks, cs = kn * p.shear_to_normal, drag
+            if p.bending > scalar(0.0):
+                # A moment k_r of a turn is no more than a force k_r / r^2 at the end of a radius.
+                kr, cr = bending(p, touch)
+                square = touch.smaller_radius * touch.smaller_radius
+                ks += kr / square
+                cs += cr / square
+            return t.vec4(kn, ks, cn, cs)
 
         @wp.func
         def energy(p: Parameters, touch: Touch, history: t.vec3):
@@ -87,7 +114,8 @@ class BinghamMortar(ContactLaw):
             core = p.effective_modulus * area(touch) / touch.length
             soft = shell_stiffness(p, touch)
             total = soft * overlap * overlap + core * deep * deep
-            return scalar(0.5) * (total + wp.length_sq(history) / ((soft + core) * p.shear_to_normal))
+            pulled = p.tension * p.yield_stress * area(touch) * overlap
+            return scalar(0.5) * (total + wp.length_sq(history) / ((soft + core) * p.shear_to_normal)) - pulled
 
         @wp.func
         def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
@@ -99,18 +127,44 @@ class BinghamMortar(ContactLaw):
             deep = core_overlap(p, touch)
             drag = zero
             cn = zero
+            pull = zero
             limit = p.friction * core * deep
             if overlap > zero:
-                drag = p.plastic_viscosity * area(touch) / (p.shell_fraction * touch.length)
+                drag = shell_drag(p, touch)
                 cn = scalar(3.0) * drag
                 limit += p.yield_stress * area(touch)
+                pull = p.tension * p.yield_stress * area(touch)
             if deep > zero:
                 cn += scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core)
             shear, slips, lost = shear_spring(touch, history, (soft + core) * p.shear_to_normal, limit, dt)
             vn = wp.dot(touch.velocity, n)
             vs = touch.velocity - vn * n
-            spring = soft * overlap + core * deep
+            spring = soft * overlap + core * deep - pull
             total = shear + drag * vs - (spring - cn * vn) * n
             return total, shear, lost + (cn * vn * vn + drag * wp.length_sq(vs)) * dt
 
-        return {"force": force, "stiffness": stiffness, "energy": energy}
+        @wp.func
+        def moment(p: Parameters, touch: Touch, turning: t.vec3, history: t.vec3, dt: scalar):
+            zero = scalar(0.0)
+            total = zero * history
+            held = zero * history
+            lost = zero
+            if p.bending > zero and touch.gap < zero:
+                kr, cr = bending(p, touch)
+                limit = p.bending * p.yield_stress * area(touch) * touch.smaller_radius
+                rate = turning - wp.dot(turning, touch.normal) * touch.normal
+                held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
+                total = held + cr * rate
+                lost += cr * wp.length_sq(rate) * dt
+            return total, held, lost
+
+        @wp.func
+        def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
+            stored = scalar(0.0)
+            if wp.length_sq(history) > scalar(0.0):
+                kr, cr = bending(p, touch)
+                stored = scalar(0.5) * wp.length_sq(history) / kr
+            return stored
+
+        return {"force": force, "stiffness": stiffness, "energy": energy, "moment": moment,
+                "moment_energy": moment_energy}  # fmt: skip
