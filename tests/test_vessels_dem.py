@@ -196,12 +196,12 @@ def test_heights_and_spreads_are_those_of_the_shape():
     both = np.concatenate([spheres, runaway])
     kept = heaps.main_body(both)
     assert not kept[-1] and kept[:-1].all()
-    surface = heaps.surface_map(both[kept])
-    assert heaps.spread(surface) == pytest.approx(2 * base * (1 - 0.5 * step / height), abs=step)
-    assert heaps.height_of_top(surface, 0.02) == pytest.approx(height * (1 - 2 / 3 * 0.02 / base), abs=step)
-    ring = heaps.height_at(surface, (0.09, 0.11), (-0.01, 0.01))
+    body = both[kept]
+    assert heaps.spread(body) == pytest.approx(2 * base * (1 - 0.5 * step / height), abs=step)
+    assert heaps.height_of_top(body, 0.02) == pytest.approx(height * (1 - 2 / 3 * 0.02 / base), abs=step)
+    ring = heaps.height_at(body, (0.09, 0.11), (-0.01, 0.01))
     assert ring == pytest.approx(height / 2, abs=step)
-    assert heaps.height_at(surface, (0.5, 0.6), (0, 0.1)) == 0.0
+    assert heaps.height_at(body, (0.5, 0.6), (0, 0.1)) == 0.0
 
 
 def test_light_is_seen_through_what_no_grain_darkens():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.method import Quantity
-from .heaps import height_at, height_of_top, main_body, shadow, spread, surface_map
+from .heaps import height_at, height_of_top, main_body, shadow, spread
 from .scene import Vessel
 
 UNITS = {
@@ -53,12 +53,12 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
         }
     else:
         here = main_body(spheres)
-        surface = surface_map(spheres[here])
+        body = spheres[here]
         if vessel.test == "slump":
             # Half of the mould's top: of a heap that stands the whole of it is one height.
-            found = {"top": height_of_top(surface, size["top_diameter"] / 4), "spread": spread(surface)}
+            found = {"top": height_of_top(body, size["top_diameter"] / 4), "spread": spread(body)}
         else:
-            found = _box(surface, spheres[here], size)
+            found = _box(body, size)
     moving = speed[here] if here.any() else np.zeros(1)
     return found | {
         "main_body": float(np.mean(here)),
@@ -67,12 +67,12 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
     }
 
 
-def _box(surface: Any, spheres: np.ndarray, size: Any) -> dict[str, float]:
+def _box(spheres: np.ndarray, size: Any) -> dict[str, float]:
     """Depth just behind the gate and at the far end of an L-box, and how far the front has come from the gate [m]."""
     gate, half = size["column_width"], size["width"] / 2
     return {
-        "near_depth": height_at(surface, (0.5 * gate, gate), (-half, half)),
-        "far_depth": height_at(surface, (size["length"] - FAR_END, size["length"]), (-half, half)),
+        "near_depth": height_at(spheres, (0.5 * gate, gate), (-half, half)),
+        "far_depth": height_at(spheres, (size["length"] - FAR_END, size["length"]), (-half, half)),
         "front": max(float((spheres[:, 0] + spheres[:, 3]).max()) - gate, 0.0),
     }
 
