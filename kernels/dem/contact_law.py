@@ -69,34 +69,13 @@ def contact_functions(scalar):
         return touch
 
     @wp.func
-    def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Spring force in the contact plane, cut at `limit`; also whether it slips and the work lost in slip [J].
+    def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
+        """Spring that grows with a `rate` in the contact plane, cut at `limit`; also whether it slips and the work lost
+        in slip [J].
 
         The history turns with the plane. Only the part of the step after first touch loads the spring. The loss
         is the trapezoidal work of the step less what the spring stores.
         """
-        half = scalar(0.5)
-        overlap = wp.max(-touch.gap, scalar(0.0))
-        vn = wp.dot(touch.velocity, touch.normal)
-        loading = dt
-        closing = -vn * dt
-        if closing > overlap:
-            loading = dt * overlap / closing
-        old = rotated_with_normal(history, touch.normal, touch.twist)
-        trial = old + (stiffness * loading) * (touch.velocity - vn * touch.normal)
-        square = wp.length_sq(trial)
-        slips = square > limit * limit
-        new = trial
-        if slips:
-            new = trial * (limit / wp.sqrt(square))
-        lost = scalar(0.0)
-        if stiffness > scalar(0.0):
-            lost = half * wp.dot(old + new, trial - new) / stiffness
-        return new, slips, lost
-
-    @wp.func
-    def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """The same of a spring that grows with something else, whose `rate` lies in the contact plane."""
         overlap = wp.max(-touch.gap, scalar(0.0))
         loading = dt
         closing = -wp.dot(touch.velocity, touch.normal) * dt
@@ -113,6 +92,12 @@ def contact_functions(scalar):
         if stiffness > scalar(0.0):
             lost = scalar(0.5) * wp.dot(old + new, trial - new) / stiffness
         return new, slips, lost
+
+    @wp.func
+    def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
+        """The same of the spring that sliding loads."""
+        vn = wp.dot(touch.velocity, touch.normal)
+        return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 
     return SimpleNamespace(
         Touch=Touch, sphere_touch=sphere_touch, wall_touch=wall_touch, shear_spring=shear_spring,
