@@ -227,9 +227,9 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     Neighbours take part in a simple shear as its mean field says. Contacts, Z/2 for each grain, act on pi d^2/4 over
     the distance d: as many as fill 3/4 Z phi of the volume. Each loses its yield stress times what slides across its
     normal, and viscosity over the shell times the square of that and, by Trouton's ratio, three times that of what
-    closes; the sum is what the concrete loses. No heap bears it: grains roll on each other, which this law lets them,
-    and part, as nothing pulls. Cones of 20 to 2000 Pa measured alike, 253 to 257 mm of slump at grains of 14 to 20 mm;
-    a scene says so.
+    closes; the sum is what the concrete loses. Shells also pull and bend (:class:`BinghamMortar`), so that a heap
+    stands. Against closed forms slumps err by 7 to 25 % at 20 to 500 Pa, spreads by less than 7 % at 100 to 200 Pa; at
+    1000 Pa a cone stands whole where the closed form has it slump by 78 mm.
     """
     slides, square, closes = sheared()
     filled = 0.75 * CONTACTS * given.packed
@@ -305,7 +305,9 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
     """What a scene simplifies."""
     found = []
     if given.law == "mortar":
-        found.append("law mortar lets grains roll and part: its yield stress carries no heap, law rolling does")
+        found.append(
+            "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole"
+        )
     if given.mould_grip == 0:
         found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
     if given.bulk_density is None:
