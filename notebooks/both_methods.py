@@ -12,11 +12,10 @@ import math
 import time
 from pathlib import Path
 
-from warpcrete import scenes
+from warpcrete import Simulation, scenes
 from warpcrete.core.units import number
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.simulation import ElementSimulation
-from warpcrete.mps.simulation import FluidSimulation
 
 DENSITY = 2350.0
 CONCRETES = {
@@ -41,7 +40,7 @@ def vessels(name: str, constants: dict[str, float], device: str) -> list[dict]:
     rows = []
     for scene, quantities in SHOWN.items():
         own = {"concrete": "own", "density": DENSITY, **constants}
-        flow = FluidSimulation(getattr(scenes, scene)(**own), device=device).run().result
+        flow = Simulation(getattr(scenes, scene)(**own), device=device).run().result
         low, high = SIZES[scene]
         made = getattr(scenes, f"{scene}_dem")(
             law="mortar", bulk_density=DENSITY, size_min=low, size_max=high, duration=DURATION[scene],
@@ -75,7 +74,7 @@ def pipes(device: str) -> list[dict]:
         area = math.pi * DIAMETER**2 / 4
         own = {"concrete": "own", "density": DENSITY, **constants}
         tube = scenes.tube(**own, diameter=DIAMETER, flow=SPEED * area, gravity=0.0, ends="periodic")
-        flow = FluidSimulation(tube, device=device).run().result
+        flow = Simulation(tube, device=device).run().result
         # The plug at the end holds the concrete back by its own pressure, which is not the wall's.
         elements = (number(run.result["end_pressure"]) - PLUG_PRESSURE) / LENGTH
         both = [4 * number(flow[key]) / DIAMETER for key in ("wall_stress", "wall_stress_theory")]
