@@ -22,9 +22,11 @@ CONCRETES = {
     "soft": {"viscosity": 30.0, "yield_stress": 50.0, "slip_viscosity": 1000.0, "slip_yield": 20.0},
     "stiffer": {"viscosity": 50.0, "yield_stress": 200.0, "slip_viscosity": 2000.0, "slip_yield": 40.0},
 }
-SIZES = {"slump": (6e-3, 9e-3), "funnel": (6e-3, 9e-3), "lbox": (8e-3, 12e-3)}
+SIZES = {"slump": (6e-3, 9e-3), "funnel": (10e-3, 14e-3), "lbox": (8e-3, 12e-3)}
 """Of grains [m]: smallest and largest."""
-DURATION = {"slump": 6.0, "funnel": 20.0, "lbox": 8.0}
+DURATION = {"slump": 6.0, "funnel": 30.0, "lbox": 8.0}
+OWN: dict[str, dict[str, float]] = {"slump": {"lift_time": 1.0}, "funnel": {"mould_grip": 1.0}, "lbox": {}}
+"""A funnel whose walls do not hold empties as if it had no viscosity."""
 SHOWN = {"slump": ("slump", "spread"), "funnel": ("funnel_time",), "lbox": ("passing_ratio",)}
 BY_THEORY = {"slump": "slump_heap", "spread": "spread_heap", "funnel_time": "funnel_time_theory",
              "passing_ratio": "passing_ratio_theory"}  # fmt: skip
@@ -45,7 +47,7 @@ def vessels(name: str, constants: dict[str, float], device: str) -> list[dict]:
         made = getattr(scenes, f"{scene}_dem")(
             law="mortar", bulk_density=DENSITY, size_min=low, size_max=high, duration=DURATION[scene],
             viscosity=constants["viscosity"], yield_stress=constants["yield_stress"],
-            **({"lift_time": 1.0} if scene == "slump" else {}),
+            **OWN[scene],
         )  # fmt: skip
         grains = run_batch([ElementSimulation(made, device=device)])[0]
         if isinstance(grains, BaseException):
