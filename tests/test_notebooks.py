@@ -15,6 +15,7 @@ NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 EXPECTED = {
     "01_pump_concrete": (3, 1.1, 10.0),  # a rougher pipe needs more pressure
     "02_trade": (1, 0.0, 1.0),  # an error that was found, over what was promised
+    "03_calibrate": (1, 0.98, 1.02),  # a stress that was held out, over what was measured
 }
 """Pictures, and the range of the last number that is printed."""
 
