@@ -25,8 +25,7 @@ CONCRETES = {
 SIZES = {"slump": (6e-3, 9e-3), "funnel": (10e-3, 14e-3), "lbox": (8e-3, 12e-3)}
 """Of grains [m]: smallest and largest."""
 DURATION = {"slump": 6.0, "funnel": 30.0, "lbox": 8.0}
-OWN: dict[str, dict[str, float]] = {"slump": {"lift_time": 1.0}, "funnel": {"mould_grip": 1.0}, "lbox": {}}
-"""A funnel whose walls do not hold empties as if it had no viscosity."""
+OWN: dict[str, dict[str, float]] = {"slump": {"lift_time": 1.0}, "funnel": {}, "lbox": {}}
 SHOWN = {"slump": ("slump", "spread"), "funnel": ("funnel_time",), "lbox": ("passing_ratio",)}
 BY_THEORY = {"slump": "slump_heap", "spread": "spread_heap", "funnel_time": "funnel_time_theory",
              "passing_ratio": "passing_ratio_theory"}  # fmt: skip

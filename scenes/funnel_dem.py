@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
@@ -28,6 +28,8 @@ EDGE = 0.01
 @dataclass(frozen=True, kw_only=True)
 class FunnelElements(VesselParameters):
     """Funnel; its measures are those of EN 12350-9."""
+
+    HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0}
 
     top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
     outlet_width: Annotated[float, "[m]", Above()] = 0.065

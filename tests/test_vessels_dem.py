@@ -21,7 +21,7 @@ from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
-from warpcrete.dem.vessels import sheared
+from warpcrete.dem.vessels import gripped, sheared
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall
 
@@ -280,6 +280,27 @@ def test_a_scene_is_made_again_from_its_parameters(name):
         first = make(law=law, seed=3)
         again = make(**json.loads(json.dumps(dict(first.parameters))))
         assert fingerprint(first) == fingerprint(again) and first.name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "grip"),
+    [
+        ("funnel-dem", {"law": "mortar"}, 1.0),
+        ("lbox-dem", {"law": "mortar"}, 1.0),
+        ("lbox-dem", {"law": "mortar", "plate_grip": 0.5}, 0.5),
+        ("funnel-dem", {"law": "mortar", "mould_grip": 0.0}, 0.0),
+        ("slump-dem", {"law": "mortar"}, 0.0),
+        ("funnel-dem", {"law": "rolling"}, 0.0),
+    ],
+)
+def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
+    """A funnel that does not hold its mortar empties in the same two seconds whatever the viscosity."""
+    made = scenes.modules()[name].scene(**given)
+    wall = made.contacts["aggregate", "mould"]
+    assert wall == gripped(made.contact, grip)
+    if given["law"] == "mortar":
+        assert wall.yield_stress == grip * made.contact.yield_stress
+    assert any("slides" in remark for remark in made.remarks) == (grip == 0)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -92,8 +92,12 @@ class LawParameters:
         "friction, yield stress and viscosity of what the concrete flows on, over those between grains",
         Within(0),
     ] = 2.0
-    mould_grip: Annotated[float, "the same of mould, gate and sides; 0: concrete slides along them freely",
-                          Within(0)] = 0.0  # fmt: skip
+    mould_grip: Annotated[
+        float | None,
+        "the same of mould, gate and sides; 0: concrete slides along them freely; default: 1 of law mortar where "
+        "concrete flows along them, in a funnel and an L-box, else 0",
+        Within(0),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,11 +125,15 @@ class VesselRun(Declared):
 class VesselParameters(GrainParameters, LawParameters, VesselRun):
     """What the tests of fresh concrete have in common."""
 
+    HOLDING: ClassVar[dict[str, float]] = {}
+    """Grip of the mould where a law has another than 0: of a funnel that does not hold it, mortar falls out in the same
+    two seconds whatever its viscosity."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.size_max < self.size_min:
             refuse("size_max", self.size_max, f"must be size_min = {self.size_min:g} m or more")
-        if self.mould_grip > self.plate_grip:
+        if self.holding > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
                    "what the concrete flows on holds it most")  # fmt: skip
 
@@ -144,6 +152,13 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
         """Friction between grains."""
         return self.friction if self.friction is not None else RUBBING.get(self.law, 0.05)
 
+    @property
+    def holding(self) -> float:
+        """Grip of the mould, of what the plate has at most unless it was given."""
+        if self.mould_grip is not None:
+            return self.mould_grip
+        return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
+
     def contact(self) -> ContactLaw:
         """Law between grains."""
         linear = Contact(
@@ -158,7 +173,7 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
 
     def contacts(self) -> dict[tuple[str, str], ContactLaw]:
         """Laws with the materials `plate` and `mould`."""
-        grips = {"plate": self.plate_grip, "mould": self.mould_grip}
+        grips = {"plate": self.plate_grip, "mould": self.holding}
         return {("aggregate", name): gripped(self.contact(), grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
@@ -308,7 +323,7 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
         found.append(
             "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole"
         )
-    if given.mould_grip == 0:
+    if given.holding == 0:
         found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
     if given.bulk_density is None:
         found.append(
