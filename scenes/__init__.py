@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .channel import scene as channel
     from .funnel import scene as funnel
     from .funnel_dem import scene as funnel_dem
+    from .jring_dem import scene as jring_dem
     from .lbox import scene as lbox
     from .lbox_dem import scene as lbox_dem
     from .pipe import scene as pipe
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from .slump_dem import scene as slump_dem
     from .tube import scene as tube
 
-__all__ = ["by_method", "channel", "funnel", "funnel_dem", "lbox", "lbox_dem", "modules", "pipe", "slump", "slump_dem",
-           "tube"]  # fmt: skip
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "pipe", "slump",
+           "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Methods by the names that results have for them: moving particles, discrete elements."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
@@ -23,8 +23,6 @@ ABOVE = 0.2
 @dataclass(frozen=True, kw_only=True)
 class BoxElements(VesselParameters):
     """Box; its measures are those of EN 12350-10, without bars."""
-
-    HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0}
 
     column_width: Annotated[float, "along the box [m]", Above()] = 0.1
     column_height: Annotated[float, "of the concrete at the start, before it settles [m]", Above()] = 0.6

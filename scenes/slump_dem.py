@@ -14,7 +14,7 @@ from warpcrete.core.units import number
 from warpcrete.dem.scene import Scene, Vessel
 from warpcrete.dem.vessels import VesselParameters, found_bad, vessel_knobs, vessel_remarks
 from warpcrete.geometry.prisms import truncated_cone
-from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 
 STRAYS = 0.05
 """Part of the grains that may have left the heap."""
@@ -40,7 +40,17 @@ def scene(parameters: SlumpElements) -> Scene:
 
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
     """
-    given = parameters
+    return lifted_cone(parameters, "slump", {}, (), "the mould")
+
+
+def lifted_cone(
+    given: SlumpElements, test: str, dimensions: dict[str, float], around: tuple[Wall, ...], what: str
+) -> Scene:
+    """Scene of a `test` of VESSELS in which a mould on a plate is lifted, among other walls that stand `around` it.
+
+    `dimensions` are those that the test needs beside the mould's [m]; `what` concrete slides along is told if it does
+    so freely.
+    """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
     if given.size_max > narrowest / 4:
@@ -48,19 +58,20 @@ def scene(parameters: SlumpElements) -> Scene:
                f"take {narrowest / 4:.3g} m or less")  # fmt: skip
     lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
     return Scene(
-        name="slump-dem",
+        name=f"{test}-dem",
         fill=given.fill(cone),
         walls=(
             PlaneWall(name="plate", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), material="plate"),
             MeshWall(name="mould", vertices=cone.vertices, faces=cone.sides, material="mould", motion=lift),
+            *around,
         ),
         vessel=Vessel(
-            test="slump",
+            test=test,
             opened=given.lift_time,
             rest_speed=given.rest_speed,
-            dimensions={"top_diameter": given.top_diameter, "mould_height": given.mould_height},
+            dimensions={"top_diameter": given.top_diameter, "mould_height": given.mould_height, **dimensions},
         ),
-        remarks=vessel_remarks(given, "the mould"),
+        remarks=vessel_remarks(given, what),
         parameters=asdict(given),
         **given.settings(),
     )

@@ -7,12 +7,14 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 from conftest import by_id
 from test_contacts import DENSITY, MASS, NO_GRAVITY, RADIUS
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.units import number
 from warpcrete.dem import heaps, measures
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.laws import BinghamMortar, Contact, RollingResistance
@@ -271,7 +273,43 @@ def test_bodies_weigh_what_the_concrete_does(device):
     assert simulation.state.total_mass == pytest.approx(2300.0 * scene.fill.container.volume, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["slump-dem", "funnel-dem", "lbox-dem"])
+def test_bars_of_a_ring_leave_the_gaps_of_the_standard():
+    """EN 12350-12: 16 bars of 18 mm on a circle of 300 mm leave 41 mm, 12 leave 59 mm, each to 1 mm."""
+    for count, gap in ((16, 0.041), (12, 0.059)):
+        bars = next(wall for wall in scenes.jring_dem(bars=count).walls if wall.name == "bars")
+        mesh = trimesh.Trimesh(bars.vertices, bars.faces, process=False)
+        parts = mesh.split()
+        assert len(parts) == count and mesh.is_watertight
+        assert mesh.volume == pytest.approx(count * math.pi * 0.009**2 * 0.125, rel=1e-9)
+        centres = np.array([part.center_mass for part in parts])
+        assert np.hypot(*centres[:, :2].T) == pytest.approx(0.15, rel=1e-9)
+        apart = np.linalg.norm(centres[:, None] - centres, axis=2) + np.eye(count)
+        assert apart.min() - 0.018 == pytest.approx(gap, abs=1e-3)
+
+
+def test_heights_of_a_step_are_read_on_both_its_sides():
+    """A floor of spheres, higher within 0.1 m of the middle."""
+    x, y = (0.005 * each.ravel() for each in np.meshgrid(np.arange(-50, 51), np.arange(-50, 51)))
+    height = np.where(np.hypot(x, y) < 0.1, 0.06, 0.02)
+    spheres = np.stack([x, y, height, 0 * x + 0.01], 1)
+    inside, outside = heaps.height_around(spheres, 0.0, 0.05), heaps.height_around(spheres, 0.15, 0.175)
+    assert inside - outside == pytest.approx(0.04, abs=2e-4)
+    assert heaps.height_of_top(spheres, 0.05) == inside
+    assert heaps.height_around(spheres, 0.4, 0.45) == 0
+
+
+def test_bars_hold_back_grains_that_are_wider_than_their_gaps(device):
+    """The same grains, twice: they stay within gaps of 8 mm, where they stand higher, and leave through 56 mm."""
+    ring = dict(ring_diameter=0.2, bar_diameter=0.02, law="linear", duration=1.2)
+    found = [Simulation(scenes.jring_dem(bars=bars, **ring, **SMALL), device=device, threads=1).run().result
+             for bars in (22, 8)]  # fmt: skip
+    spread, step, strays = ([number(each[name]) for each in found] for name in ("spread", "blocking_step", "strays"))
+    assert spread[0] < 0.22 and strays[0] == 0
+    assert spread[1] > 0.3 or strays[1] > 0.2
+    assert step[0] > 0.02 and step[1] < 0.5 * step[0]
+
+
+@pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem"])
 def test_a_scene_is_made_again_from_its_parameters(name):
     from warpcrete.core.provenance import fingerprint
 
@@ -286,8 +324,8 @@ def test_a_scene_is_made_again_from_its_parameters(name):
     ("name", "given", "grip"),
     [
         ("funnel-dem", {"law": "mortar"}, 1.0),
-        ("lbox-dem", {"law": "mortar"}, 1.0),
-        ("lbox-dem", {"law": "mortar", "plate_grip": 0.5}, 0.5),
+        ("funnel-dem", {"law": "mortar", "plate_grip": 0.5}, 0.5),
+        ("lbox-dem", {"law": "mortar"}, 0.0),
         ("funnel-dem", {"law": "mortar", "mould_grip": 0.0}, 0.0),
         ("slump-dem", {"law": "mortar"}, 0.0),
         ("funnel-dem", {"law": "rolling"}, 0.0),
@@ -317,6 +355,17 @@ def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
         ("slump-dem", {"mould_grip": 3.0}, r"^mould_grip = 3\.0: must not exceed plate_grip = 2"),
         ("slump-dem", {"lift_time": 0.0}, r"^lift_time = 0\.0: must be a finite number above 0 s$"),
         ("funnel-dem", {"size_max": 0.04}, r"^size_max = 0\.04: must leave two grains across the outlet; take 0\.0325"),
+        (
+            "jring-dem",
+            {"bars": 60},
+            r"^bars = 60: must leave gaps between bars of 0\.018 m on a ring of 0\.3 m; take 52",
+        ),
+        (
+            "jring-dem",
+            {"ring_diameter": 0.2},
+            r"^ring_diameter = 0\.2: must leave a grain between .* take 0\.25 m or more$",
+        ),
+        ("jring-dem", {"bars": 2}, r"^bars = 2: "),
         ("lbox-dem", {"length": 0.15}, r"^length = 0\.15: leaves no box beyond the column; take 0\.4 m or more$"),
         ("lbox-dem", {"column_height": 0.1}, r"^column_height = 0\.1: is that of the column"),
     ],

@@ -101,8 +101,14 @@ def height_at(spheres: np.ndarray, x: Range, y: Range) -> float:
 
 def height_of_top(spheres: np.ndarray, radius: float) -> float:
     """Mean height of the surface within a radius of x = y = 0 [m]; what no sphere covers counts as 0."""
-    x, y, height = surface(spheres, (-radius, radius), (-radius, radius), FINE * float(spheres[:, 3].max()))
-    return float(np.mean(np.maximum(height[x**2 + y**2 <= radius**2], 0.0)))
+    return height_around(spheres, 0.0, radius)
+
+
+def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
+    """Mean height of the surface between two radii about x = y = 0 [m]; what no sphere covers counts as 0."""
+    x, y, height = surface(spheres, (-outer, outer), (-outer, outer), FINE * float(spheres[:, 3].max()))
+    square = x**2 + y**2
+    return float(np.mean(np.maximum(height[(square >= inner**2) & (square <= outer**2)], 0.0)))
 
 
 def shadow(spheres: np.ndarray, x: float, y: float, cell: float) -> float:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from ..core.method import Quantity
-from .heaps import height_at, height_of_top, main_body, shadow, spread
+from .heaps import height_around, height_at, height_of_top, main_body, shadow, spread
 from .scene import Vessel
 
 UNITS = {
     "top": "m",
     "spread": "m",
+    "outside": "m",
     "screen": "1",
     "inside": "1",
     "near_depth": "m",
@@ -28,8 +29,12 @@ T500 = 0.5
 """Spread whose time is told [m] (EN 12350-8)."""
 LIGHT = 0.5
 """Part of a funnel's outlet that stones may still darken when light is seen through it."""
+HEAPS = ("slump", "jring")
+"""Tests that leave a heap on a plate."""
 RESTED = 1.0
 """Simulated time over which concrete must be slow to be at rest [s]."""
+BESIDE = 0.025
+"""Width of the area around a ring of bars over which the height outside is a mean [m]."""
 FAR_END = 0.05
 """Length of a box over which the depth at its far end is a mean [m]."""
 
@@ -54,9 +59,12 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
     else:
         here = main_body(spheres)
         body = spheres[here]
-        if vessel.test == "slump":
+        if vessel.test in HEAPS:
             # Half of the mould's top: of a heap that stands the whole of it is one height.
             found = {"top": height_of_top(body, size["top_diameter"] / 4), "spread": spread(body)}
+            if vessel.test == "jring":
+                ring = 0.5 * (size["ring_diameter"] + size["bar_diameter"])
+                found["outside"] = height_around(body, ring, ring + BESIDE)
         else:
             found = _box(body, size)
     moving = speed[here] if here.any() else np.zeros(1)
@@ -92,9 +100,9 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
     return rows[-1]["screen"] < LIGHT and rows[-1]["time"] > vessel.opened
 
 
-def _of(test: str, of: Any) -> Any:
-    """Of runs of one test, and of nothing else."""
-    return lambda k: of(k) if k.scene.vessel is not None and k.scene.vessel.test == test else None
+def _of(of: Any, *tests: str) -> Any:
+    """Of runs of these tests, and of nothing else."""
+    return lambda k: of(k) if k.scene.vessel is not None and k.scene.vessel.test in tests else None
 
 
 def _when(k: Any, name: str, value: float, falls: bool = False) -> float | None:
@@ -120,19 +128,21 @@ def _ratio(k: Any) -> float | None:
 
 
 QUANTITIES = (
-    Quantity("slump", "m", _of("slump", lambda k: float(k.series["top"][0] - k.series["top"][-1])), "slump", None,
+    Quantity("slump", "m", _of(lambda k: float(k.series["top"][0] - k.series["top"][-1]), *HEAPS), "slump", None,
              True),
-    Quantity("fill_height", "m", _of("slump", lambda k: float(k.series["top"][0])), "height at the start"),
-    Quantity("spread", "m", _of("slump", _last("spread")), "spread", None, True),
-    Quantity("t500", "s", _of("slump", lambda k: _when(k, "spread", T500)), "T500", None, True),
-    Quantity("funnel_time", "s", _of("funnel", lambda k: _when(k, "screen", LIGHT, True)), "funnel time", None, True),
-    Quantity("remaining", "1", _of("funnel", _last("inside")), "remaining",
+    Quantity("fill_height", "m", _of(lambda k: float(k.series["top"][0]), *HEAPS), "height at the start"),
+    Quantity("spread", "m", _of(_last("spread"), *HEAPS), "spread", None, True),
+    Quantity("t500", "s", _of(lambda k: _when(k, "spread", T500), *HEAPS), "T500", None, True),
+    Quantity("blocking_step", "m", _of(lambda k: float(k.series["top"][-1] - k.series["outside"][-1]), "jring"),
+             "blocking step", None, True),
+    Quantity("funnel_time", "s", _of(lambda k: _when(k, "screen", LIGHT, True), "funnel"), "funnel time", None, True),
+    Quantity("remaining", "1", _of(_last("inside"), "funnel"), "remaining",
              lambda run: f"{100 * run.result['remaining']:.1f} %"),
-    Quantity("passing_ratio", "1", _of("lbox", _ratio), "H2/H1", None, True),
-    Quantity("h1", "m", _of("lbox", _last("near_depth")), "H1"),
-    Quantity("h2", "m", _of("lbox", _last("far_depth")), "H2"),
-    Quantity("t200", "s", _of("lbox", lambda k: _when(k, "front", 0.2)), "T200", None, True),
-    Quantity("t400", "s", _of("lbox", lambda k: _when(k, "front", 0.4)), "T400", None, True),
+    Quantity("passing_ratio", "1", _of(_ratio, "lbox"), "H2/H1", None, True),
+    Quantity("h1", "m", _of(_last("near_depth"), "lbox"), "H1"),
+    Quantity("h2", "m", _of(_last("far_depth"), "lbox"), "H2"),
+    Quantity("t200", "s", _of(lambda k: _when(k, "front", 0.2), "lbox"), "T200", None, True),
+    Quantity("t400", "s", _of(lambda k: _when(k, "front", 0.4), "lbox"), "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: None if k.scene.vessel is None else float(k.series["fastest"][-1])),
     Quantity("strays", "1", lambda k: None if k.scene.vessel is None or k.scene.vessel.test == "funnel"
              else 1 - float(k.series["main_body"][-1])),

@@ -32,6 +32,7 @@ MUCH_STIFFER = 200.0
 steps."""
 VESSELS = {
     "slump": ("top_diameter", "mould_height"),
+    "jring": ("top_diameter", "mould_height", "ring_diameter", "bar_diameter"),
     "funnel": ("outlet_width", "breadth", "whole_height"),
     "lbox": ("column_width", "length", "width"),
 }

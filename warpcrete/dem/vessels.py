@@ -94,8 +94,8 @@ class LawParameters:
     ] = 2.0
     mould_grip: Annotated[
         float | None,
-        "the same of mould, gate and sides; 0: concrete slides along them freely; default: 1 of law mortar where "
-        "concrete flows along them, in a funnel and an L-box, else 0",
+        "the same of mould, gate, bars and sides; 0: concrete slides along them freely; default: 1 in a funnel of law "
+        "mortar, else 0",
         Within(0),
     ] = None
 

@@ -1,0 +1,86 @@
+"""Spread through a ring of bars (J-ring, EN 12350-12), by discrete elements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from warpcrete.core.errors import refuse
+from warpcrete.core.knobs import Knob, Trading
+from warpcrete.core.parameters import Above, Within, scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.dem.scene import Scene
+from warpcrete.dem.vessels import vessel_knobs
+from warpcrete.geometry.prisms import truncated_cone
+from warpcrete.geometry.walls import MeshWall
+
+from . import slump_dem
+from .slump_dem import SlumpElements, lifted_cone
+
+SIDES = 12
+"""Of a bar."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingElements(SlumpElements):
+    """Ring; its measures are those of EN 12350-12."""
+
+    bars: Annotated[int, "round the ring: 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
+    bar_diameter: Annotated[float, "[m]", Above()] = 0.018
+    ring_diameter: Annotated[float, "of the circle through the bars' axes [m]", Above()] = 0.3
+    ring_height: Annotated[float, "of the bars [m]", Above()] = 0.125
+
+    @property
+    def gap(self) -> float:
+        """Between neighbouring bars [m]."""
+        return self.ring_diameter * math.sin(math.pi / self.bars) - self.bar_diameter
+
+
+@scene_function(RingElements)
+def scene(parameters: RingElements) -> Scene:
+    """A cone of grains on a plate, whose mould is lifted within a ring of bars: spread, T500, blocking step.
+
+    As `slump-dem`, with bars that stand on the plate and have no ring on top; what rubs on the mould rubs on them, too.
+    The blocking step is how much higher the concrete stands in the middle than around the ring. How far the bars hold a
+    concrete back is its spread here beside that of `slump-dem` with the same seed.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    if given.gap <= 0:
+        fit = math.floor(math.pi / math.asin(min(given.bar_diameter / given.ring_diameter, 1.0)) - 1e-9)
+        refuse("bars", given.bars, f"must leave gaps between bars of {given.bar_diameter:g} m on a ring of "
+               f"{given.ring_diameter:g} m", f"take {fit} or fewer" if fit >= 3 else "take a wider ring")  # fmt: skip
+    inner = given.ring_diameter - given.bar_diameter
+    if inner < max(given.base_diameter, given.top_diameter) + 2 * given.size_max:
+        refuse("ring_diameter", given.ring_diameter, "must leave a grain between mould and bars",
+               f"take {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
+               "or more")  # fmt: skip
+    dimensions = {"ring_diameter": given.ring_diameter, "bar_diameter": given.bar_diameter}
+    return lifted_cone(given, "jring", dimensions, (_bars(given),), "mould and bars")
+
+
+def _bars(given: RingElements) -> MeshWall:
+    """All of them as one mesh."""
+    bar = truncated_cone(given.bar_diameter / 2, given.bar_diameter / 2, given.ring_height, SIDES)
+    angle = 2 * np.pi * np.arange(given.bars) / given.bars
+    axes = 0.5 * given.ring_diameter * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    vertices = (axes[:, None] + bar.vertices).reshape(-1, 3)
+    faces = (len(bar.vertices) * np.arange(given.bars)[:, None, None] + bar.faces).reshape(-1, 3)
+    return MeshWall(name="bars", vertices=vertices, faces=faces, material="mould")
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a J-ring: name -> (passed, what was found)."""
+    return slump_dem.check(run)
+
+
+def _knobs(given: RingElements) -> Iterator[Knob]:
+    return vessel_knobs(given, min(given.top_diameter, given.mould_height, 4 * given.gap))
+
+
+trading = Trading(_knobs, quantities=("spread", "blocking_step"))
