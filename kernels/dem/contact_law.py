@@ -17,8 +17,8 @@ from ..common.types import types, vector_functions
 
 @functools.cache
 def contact_functions(scalar):
-    """The struct ``Touch`` and functions for laws: ``shear_spring``, ``plane_spring``, ``sphere_touch``,
-    ``wall_touch``."""
+    """The struct ``Touch`` and functions for laws: ``shear_spring``, ``plane_spring``, ``spring_energy``,
+    ``sphere_touch``, ``wall_touch``."""
     t = types(scalar)
     rotated_with_normal = vector_functions(scalar).rotated_with_normal
 
@@ -99,7 +99,16 @@ def contact_functions(scalar):
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 
+    @wp.func
+    def spring_energy(history: t.vec3, stiffness: scalar):
+        """What a spring stores at a force or moment `history` [J]; one without stiffness holds none."""
+        square = wp.length_sq(history)
+        stored = scalar(0.0)
+        if square > scalar(0.0):
+            stored = scalar(0.5) * square / stiffness
+        return stored
+
     return SimpleNamespace(
         Touch=Touch, sphere_touch=sphere_touch, wall_touch=wall_touch, shear_spring=shear_spring,
-        plane_spring=plane_spring,
+        plane_spring=plane_spring, spring_energy=spring_energy,
     )  # fmt: skip

@@ -66,7 +66,7 @@ class BinghamMortar(ContactLaw):
         t = types(scalar)
         f = contact_functions(scalar)
         Touch = f.Touch
-        shear_spring, plane_spring = f.shear_spring, f.plane_spring
+        shear_spring, plane_spring, spring_energy = f.shear_spring, f.plane_spring, f.spring_energy
         Parameters = parameters
 
         @wp.func
@@ -160,11 +160,8 @@ class BinghamMortar(ContactLaw):
 
         @wp.func
         def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
-            stored = scalar(0.0)
-            if wp.length_sq(history) > scalar(0.0):
-                kr, cr = bending(p, touch)
-                stored = scalar(0.5) * wp.length_sq(history) / kr
-            return stored
+            kr, cr = bending(p, touch)
+            return spring_energy(history, kr)
 
         return {"force": force, "stiffness": stiffness, "energy": energy, "moment": moment,
                 "moment_energy": moment_energy}  # fmt: skip

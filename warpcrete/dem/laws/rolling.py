@@ -51,7 +51,7 @@ class RollingResistance(ContactLaw):
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
         t = types(scalar)
         f = contact_functions(scalar)
-        Touch, plane_spring = f.Touch, f.plane_spring
+        Touch, plane_spring, spring_energy = f.Touch, f.plane_spring, f.spring_energy
         linear = Contact.functions(scalar)
         linear_stiffness, linear_energy, linear_force = linear.stiffness, linear.energy, linear.force
         Parameters = parameters
@@ -105,11 +105,8 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
-            stored = scalar(0.0)
-            if wp.length_sq(history) > scalar(0.0):
-                kr, cr = rolling_stiffness(p, touch)
-                stored = scalar(0.5) * wp.length_sq(history) / kr
-            return stored
+            kr, cr = rolling_stiffness(p, touch)
+            return spring_energy(history, kr)
 
         return {"force": force, "stiffness": stiffness, "energy": energy, "moment": moment,
                 "moment_energy": moment_energy}  # fmt: skip
