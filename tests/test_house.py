@@ -153,7 +153,7 @@ def test_heavy_packages_load_only_when_used():
 def test_public_names_exist():
     import warpcrete
 
-    assert len(warpcrete.__all__) <= 13
+    assert len(warpcrete.__all__) <= 14
     for name in warpcrete.__all__:
         assert getattr(warpcrete, name) is not None
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from . import scenes
     from .dem.scene import Scene
     from .methods import Simulation
+    from .record.loading import load
     from .studies.calibrate import calibrate
     from .studies.explain import explain
     from .studies.trade import trade
@@ -39,12 +40,18 @@ __all__ = [
     "WarpcreteError",
     "calibrate",
     "explain",
+    "load",
     "scenes",
     "trade",
 ]
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
-_LAZY |= {"trade": "studies.trade", "explain": "studies.explain", "calibrate": "studies.calibrate"}
+_LAZY |= {
+    "load": "record.loading",
+    "trade": "studies.trade",
+    "explain": "studies.explain",
+    "calibrate": "studies.calibrate",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -6,14 +6,13 @@ import importlib
 import inspect
 import os
 import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import click
 
-from ..core.errors import InstabilityError, RunFolderError, WarpcreteError
+from ..core.errors import InstabilityError, WarpcreteError
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
 
@@ -174,14 +173,12 @@ def theory(context: click.Context, flow: tuple[float, ...], pressure: tuple[floa
 
 @cli.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
-def view_run(run: Path) -> None:
+@click.option("--web", is_flag=True, help="in a browser; prints its address")
+def view_run(run: Path, web: bool) -> None:
     """Open the recording of a run folder in the Rerun viewer."""
-    recording = run / "run.rrd" if run.is_dir() else run
-    if not recording.is_file():
-        raise RunFolderError(f"'{run}': holds no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
-    # An unfinished run lies in parts; they are one recording to the viewer.
-    parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    raise SystemExit(subprocess.call([sys.executable, "-m", "rerun", str(recording), *map(str, parts)]))
+    from ..core.run import viewer
+
+    raise SystemExit(subprocess.call(viewer(run, web)))
 
 
 @cli.command("verify")

@@ -19,6 +19,7 @@ from ..core.run_loop import Run
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
+from ..record.loading import saved_scene
 from ..record.recorders import RECORDERS, Look, recorders_of
 from ..studies.pipeline import check_pipeline, pipeline_estimate
 
@@ -28,18 +29,6 @@ KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipe
 CHECK_FAILED = 3
 """Exit code of a finished run that one of the scene's checks does not accept."""
 INTERRUPTED = 130
-
-
-def saved_scene(path: Path, modules: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Contents of a scene.json, and the module of its scene."""
-    record = read_json(path)
-    if record.get("scene") not in modules or not isinstance(record.get("parameters"), dict):
-        raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(modules)})")
-    module = modules[record["scene"]]
-    unknown = sorted(set(module.scene.resolved(record["parameters"])) - set(declared_fields(module.scene.parameters)))
-    if unknown:
-        raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
-    return record, module
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:

@@ -21,6 +21,7 @@ from .display import Display
 from .errors import RunFolderError, WarpcreteError, between, positive, refuse
 from .launching import telling
 from .progress import ProgressBar
+from .run import Run
 
 Progress = Callable[[str, float, dict[str, Any]], None]
 """Called with the phase (`packing`, `settling`, `running`; `compiling` between them, where that takes a while), the
@@ -71,44 +72,6 @@ class Recorder:
 
     def tidy(self, simulation: Any, run: Run) -> None:
         """The run is complete and its checkpoint gone: what only a resumed run needs may go."""
-
-
-@dataclass(repr=False)
-class Run:
-    """A finished (or interrupted) run."""
-
-    scene: Any
-    series: dict[str, np.ndarray]
-    """One array a column, one entry a sample."""
-    units: dict[str, str]
-    """Unit of each column."""
-    result: dict[str, Any]
-    """Quantities of the whole run: those with a unit are `{"value", "unit"}`, pure numbers stand plain."""
-    finished: bool
-    interrupted: bool = False
-    """Cut at once by an interruption (Ctrl-C), not at a sample."""
-    folder: Path | None = None
-
-    def __repr__(self) -> str:
-        ended = "finished" if self.finished else "not finished"
-        time = self.result.get("simulated_time", {}).get("value", 0.0)
-        where = f", folder '{self.folder}'" if self.folder else ""
-        count = len(next(iter(self.series.values()), ()))
-        return (
-            f"<{type(self).__name__} of scene {self.scene.name!r}: {ended}, {time:.4g} s, {count} samples of "
-            f"{len(self.series)} columns{where}>"
-        )
-
-    def _repr_html_(self) -> str:
-        """Its quantities as a table, for notebooks."""
-        rows = []
-        for name, entry in self.result.items():
-            if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
-                rows.append(f"<tr><td>{name}</td><td>{entry['value']:.6g} {entry['unit']}</td></tr>")
-            elif isinstance(entry, bool | int | float | str):
-                text = f"{entry:.6g}" if isinstance(entry, float) else entry
-                rows.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
-        return f"<table>{''.join(rows)}</table>"
 
 
 S = TypeVar("S", bound="Simulation")

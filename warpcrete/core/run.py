@@ -1,0 +1,157 @@
+"""A run that has ended, or was cut: its series and quantities, for people and programs."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import RunFolderError, WarpcreteError, refuse
+from .units import number, shown
+
+COURSES = ("pressure", "spread", "front", "inside")
+"""Columns of which the first that a series has is what its plot shows."""
+
+
+@dataclass(repr=False)
+class Run:
+    """A finished (or interrupted) run."""
+
+    scene: Any
+    series: dict[str, np.ndarray]
+    """One array a column, one entry a sample."""
+    units: dict[str, str]
+    """Unit of each column."""
+    result: dict[str, Any]
+    """Quantities of the whole run: those with a unit are `{"value", "unit"}`, pure numbers stand plain."""
+    finished: bool
+    interrupted: bool = False
+    """Cut at once by an interruption (Ctrl-C), not at a sample."""
+    folder: Path | None = None
+
+    def __repr__(self) -> str:
+        ended = "finished" if self.finished else "not finished"
+        time = self.result.get("simulated_time", {}).get("value", 0.0)
+        where = f", folder '{self.folder}'" if self.folder else ""
+        count = len(next(iter(self.series.values()), ()))
+        return (
+            f"<{type(self).__name__} of scene {self.scene.name!r}: {ended}, {time:.4g} s, {count} samples of "
+            f"{len(self.series)} columns{where}>"
+        )
+
+    def __getitem__(self, name: str) -> float:
+        """A quantity of the whole run, in SI units; `run.result` has its unit.
+
+        Raises :class:`KeyError`, with names that are alike, for one that the run does not have.
+        """
+        if name not in self._numbers():
+            alike = difflib.get_close_matches(name, self._numbers(), 3)
+            what = f"; it has {', '.join(alike)}" if alike else f" of {', '.join(self._numbers())}"
+            raise KeyError(f"the run found no quantity {name!r}{what}")
+        return self._numbers()[name]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._numbers())
+
+    def _numbers(self) -> dict[str, float]:
+        found = {}
+        for name, entry in self.result.items():
+            if isinstance(entry, dict):
+                entry = entry["value"] if set(entry) == {"value", "unit"} else None
+            if isinstance(entry, int | float) and not isinstance(entry, bool):
+                found[name] = number(entry)
+        return found
+
+    def table(self) -> Any:
+        """The series as a pandas DataFrame in SI units, one row a sample, with `time` [s] as index; `attrs["units"]`
+        has the units of its columns.
+
+        Raises :class:`WarpcreteError` where pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise WarpcreteError(
+                "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
+            ) from None
+        found = pandas.DataFrame(self.series)
+        if "time" in found:
+            found = found.set_index("time")
+        found.attrs["units"] = dict(self.units)
+        return found
+
+    def plot(self, *columns: str, against: str = "time") -> Any:
+        """Matplotlib figure of columns of the series over another one; those of one unit share an axis.
+
+        Without columns: pressure, spread, way of the front or what remains, whichever the run has. Raises
+        :class:`SceneError` for a column that it does not have.
+        """
+        from matplotlib.figure import Figure
+
+        if not columns:
+            columns = tuple(name for name in COURSES if name in self.series)[:1] or tuple(self.series)[1:2]
+        for name in (*columns, against):
+            if name not in self.series:
+                refuse("column", name, f"must be one of {', '.join(self.series)}")
+        units = list(dict.fromkeys(self.units[name] for name in columns))
+        figure = Figure(figsize=(7, 1.2 + 2.8 * len(units)), layout="constrained")
+        every = np.atleast_1d(figure.subplots(len(units), 1, sharex=True))
+        scale, along = shown(self.units[against]) if against != "time" else (1.0, "s")
+        for axes, unit in zip(every, units, strict=True):
+            factor, people = shown(unit)
+            here = [name for name in columns if self.units[name] == unit]
+            for name in here:
+                axes.plot(scale * self.series[against], factor * self.series[name], label=_words(name), linewidth=1.6)
+            axes.set_ylabel(f"{_words(here[0])} [{people}]" if len(here) == 1 else f"[{people}]")
+            if len(here) > 1:
+                axes.legend(frameon=False, fontsize=9)
+            axes.spines[["top", "right"]].set_visible(False)
+        every[-1].set_xlabel(f"{_words(against)} [{along}]")
+        figure.suptitle(f"{self.scene.name}: {', '.join(map(_words, columns))}", fontsize=10)
+        return figure
+
+    def view(self, web: bool = False) -> subprocess.Popen[bytes]:
+        """Open the recording of the run's folder in Rerun's viewer, or with `web` in a browser, and go on.
+
+        Raises :class:`RunFolderError` if there is none, or no screen.
+        """
+        if self.folder is None:
+            raise RunFolderError("the run has no folder: 'warpcrete run SCENE --out FOLDER' makes one with a recording")
+        return subprocess.Popen(viewer(self.folder, web))
+
+    def _repr_html_(self) -> str:
+        """Its quantities as a table, for notebooks."""
+        rows = []
+        for name, entry in self.result.items():
+            if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
+                rows.append(f"<tr><td>{name}</td><td>{entry['value']:.6g} {entry['unit']}</td></tr>")
+            elif isinstance(entry, bool | int | float | str):
+                text = f"{entry:.6g}" if isinstance(entry, float) else entry
+                rows.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
+        return f"<table>{''.join(rows)}</table>"
+
+
+def viewer(run: Path, web: bool = False) -> list[str]:
+    """Command that opens a run folder's recording, or the recording `run`, in Rerun's viewer, or in a browser.
+
+    Raises :class:`RunFolderError` if there is none, or no screen.
+    """
+    recording = run / "run.rrd" if run.is_dir() else run
+    if not recording.is_file():
+        raise RunFolderError(f"'{run}': holds no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
+    if not web and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise RunFolderError(f"'{run}': there is no screen here (DISPLAY is not set); --web serves it to a browser, "
+                             f"and {recording} opens on any machine with 'rerun {recording.name}'")  # fmt: skip
+    # An unfinished run lies in parts; they are one recording to the viewer.
+    parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
+    return [sys.executable, "-m", "rerun", str(recording), *map(str, parts), *(["--web-viewer"] if web else [])]
+
+
+def _words(column: str) -> str:
+    return column.replace("_", " ")

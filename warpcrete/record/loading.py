@@ -1,0 +1,66 @@
+"""Runs read back from their folders."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import RunFolderError
+from ..core.files import read_json
+from ..core.parameters import declared_fields
+from ..core.run import Run
+from ..scenes import modules
+
+
+def load(folder: Path | str) -> Run:
+    """The run in a folder, as far as it got: scene, series, quantities.
+
+    What only a simulation holds, as bodies at the end, is not there. A run that was killed has no result, and one
+    without rows no series. Raises :class:`RunFolderError` for anything that is no run folder of this version.
+    """
+    folder = Path(folder)
+    if not (folder / "scene.json").is_file():
+        studies = sorted(path.parent.name for path in folder.glob("*/scene.json"))
+        raise RunFolderError(
+            f"'{folder}': " + ("is no folder" if not folder.is_dir() else "is no run folder (it holds no scene.json)")
+            + (f"; the runs of a study are in {', '.join(studies[:3])} ..." if studies else "")
+        )  # fmt: skip
+    record, module = saved_scene(folder / "scene.json", modules())
+    scene = module.scene(**record["parameters"])
+    path = folder / "result.json"
+    result = read_json(path) if path.is_file() else {}
+    series, units = _series(folder / "series.csv")
+    return Run(scene, series, units, result, bool(result.get("finished")), folder=folder)
+
+
+def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    """Contents of a scene.json, and the module of its scene."""
+    record = read_json(path)
+    if record.get("scene") not in known or not isinstance(record.get("parameters"), dict):
+        raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
+    module = known[record["scene"]]
+    unknown = sorted(set(module.scene.resolved(record["parameters"])) - set(declared_fields(module.scene.parameters)))
+    if unknown:
+        raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
+    return record, module
+
+
+def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns and their units; a row that a killed run did not write to its end is left out."""
+    if not path.is_file():
+        return {}, {}
+    with path.open(newline="") as file:
+        text = file.read()
+    lines = list(csv.reader(text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]))
+    if not lines:
+        return {}, {}
+    try:
+        named = [head.removesuffix("]").rsplit(" [", 1) for head in lines[0]]
+        rows = np.array(lines[1:], dtype=float).reshape(-1, len(named))
+        units = {name: unit for name, unit in named}
+    except ValueError as error:
+        raise RunFolderError(f"'{path}': is no series of a run ({error})") from None
+    return {name: rows[:, place] for place, name in enumerate(units)}, units
