@@ -311,6 +311,46 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
     _part("calibrate").run(list(arguments), _scenes())
 
 
+LINE_HELP = """Pressure that a line of pipes needs: `warpcrete line LINE.yaml [options]`.
+
+The file lists the parts in order. Each kind of part is simulated once, as a flow, straight pipe by the metre; the
+folder holds line.md, line.json, line.png (pressure along the line, theory beside it) and the runs, which the next line
+with that --out finds again. burj-khalifa and shanghai-tower are shipped.
+
+\b
+  diameter: 125 mm
+  flow: 30 m3/h
+  concrete: no1                 # or a file, as for run
+  largest_stone: 16 mm
+  begin: level                  # up, down
+  parts:
+    - straight: 10 m
+    - bend: {to: up, radius: 0.5 m}               # angle: 90; to: up, down, left, right, level, back
+    - straight: {length: 20 m}
+    - reducer: {to: 100 mm, length: 1 m}
+    - straight: 5 m
+
+Amounts without a unit are in m, m3/s, Pa and degrees.
+"""
+
+
+@cli.command("line", help=LINE_HELP)
+@click.argument("line", type=str)
+@click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'")
+@click.option("--flow", help="in place of the line's, as '30 m3/h'")
+@click.option("--theory", is_flag=True, help="closed form alone: bends and reducers as straight pipe, at once")
+@click.option("--layer-factor", type=float, default=2.0, show_default=True, help="by which the slip layer's constants "
+              "may be off, for the band; 1 where they were measured")  # fmt: skip
+@click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
+@click.option("--out", type=click.Path(path_type=Path), help="folder, new or of an earlier line "
+              "[default: runs/line-NNN]")  # fmt: skip
+@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
+@click.option("--quiet", is_flag=True, help="no progress bar")
+def line_command(line: str, **settings: Any) -> None:
+    _part("line").run(line, **settings)
+
+
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
 
 Which features are compiled in and why, memory by part, the time step and what governs it, steps and wall time on this

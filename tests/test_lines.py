@@ -1,0 +1,217 @@
+"""Lines of pipes: what a file says, whether its parts fit, what they lose, and what the command makes of it."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from warpcrete import SceneError
+from warpcrete.cli.main import cli
+from warpcrete.core.amounts import amount
+from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.theory import Concrete
+from warpcrete.studies import line_run
+from warpcrete.studies.line_run import run_line
+from warpcrete.studies.lines import line_of, read_line, shipped_lines
+
+SLIPPING = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)
+"""A plug, which slides along the wall: every loss has a closed form."""
+SHAPED = {
+    "diameter": "125 mm",
+    "parts": [
+        {"straight": "10 m"},
+        {"bend": {"to": "up", "radius": "0.5 m"}},
+        {"straight": {"length": 20, "rise": 20}},
+        {"bend": {"to": "left", "radius": 0.5, "angle": 90}},
+        {"reducer": {"to": "100 mm", "length": 1}},
+        {"straight": 5},
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("given", "unit", "value"),
+    [
+        ("30 m3/h", "m3/s", 30 / 3600), ("12 L/min", "m3/s", 2e-4), ("2l/s", "m3/s", 2e-3), (0.5, "m", 0.5),
+        ("125 mm", "m", 0.125), ("5 in", "m", 0.127), ("12.5 bar", "Pa", 1.25e6), ("1e-1 MPa", "Pa", 1e5),
+        ("3", "m", 3.0), (".5 km", "m", 500.0), ("90 deg", "degrees", 90.0), ("3.1415927 rad", "degrees", 180.0),
+    ],
+)  # fmt: skip
+def test_amounts_come_in_the_units_that_people_use(given, unit, value):
+    assert amount("it", given, unit) == pytest.approx(value, rel=2e-8)
+
+
+@pytest.mark.parametrize("given", ["30 m3/hr", "thirty", "30 m3/h up", True, None, float("nan"), "30 mm"])
+def test_other_amounts_are_refused(given):
+    with pytest.raises(SceneError, match=r"^flow = .*: must be a number with one of m3/s, m3/h, .* it is in m3/s$"):
+        amount("flow", given, "m3/s")
+
+
+def test_a_line_goes_where_its_parts_lead():
+    """Level along x, up by a bend of 0.5 m and 20 m, left by the next, along y."""
+    line = line_of(SHAPED)
+    assert [part.diameter for part in line.parts] == [0.125] * 5 + [0.1] and line.parts[4].outlet == 0.1
+    assert [part.rise for part in line.parts] == pytest.approx([0, 0.5, 20, 0.5, 0, 0], abs=1e-12)
+    assert line.length == pytest.approx(36 + math.pi / 2)
+    ends, ways = line.axis.at([line.length])
+    assert ends[0] == pytest.approx([10.5, 0.5 + 6, 21.0]) and ways[0] == pytest.approx([0, 1, 0], abs=1e-12)
+    down = line_of(
+        {"diameter": 0.1, "begin": "down", "parts": [{"straight": 3}, {"bend": {"to": "back", "radius": 1}}]}
+    )
+    assert down.rise == pytest.approx(-4) and down.axis.at([down.length])[1][0] == pytest.approx([-1, 0, 0], abs=1e-12)
+
+
+def test_sloping_bends_rise_as_geometry_says():
+    """By 30 degrees up, 2 m, then 120 degrees towards the right, of whose arc only the slope at its start rises."""
+    parts = [{"straight": 1}, {"bend": {"to": "up", "radius": 1, "angle": 30}}, {"straight": 2},
+             {"bend": {"to": "right", "radius": 2, "angle": 120}}]  # fmt: skip
+    line = line_of({"diameter": 0.1, "parts": parts})
+    rises = [0, 1 - math.cos(math.pi / 6), 1.0, 2 * math.sin(2 * math.pi / 3) * 0.5]
+    assert [part.rise for part in line.parts] == pytest.approx(rises, abs=1e-12)
+    assert line.axis.at([line.length])[0][0][2] == pytest.approx(sum(rises))
+
+
+def test_a_plug_loses_what_its_closed_form_says():
+    """4 (tau + eta v) / d a metre; over a cone of linear bore the integrals of 1/d and of 1/d^3."""
+    line, flow = line_of(SHAPED), 0.005
+    d, e = 0.125, 0.1
+    metre = 4 / d * (50 + 1000 * 4 * flow / (math.pi * d**2))
+    cone = 4 * 50 * math.log(d / e) / (d - e) + 16 * 1000 * flow / math.pi * (1 / e**2 - 1 / d**2) / (2 * (d - e))
+    found = run_line(line, SLIPPING, flow, simulate=False)
+    losses = [x.friction for x in found.losses]
+    assert losses[:2] == pytest.approx([10 * metre, 0.5 * math.pi / 2 * metre], rel=1e-9)
+    assert losses[4] == pytest.approx(cone, rel=1e-4)
+    weight = 2400 * 9.81 * 21
+    assert found.pressure == pytest.approx(sum(losses) + weight) == pytest.approx(found.theory)
+    assert found.band() == pytest.approx((sum(losses) / 2 + weight, 2 * sum(losses) + weight), rel=1e-9)
+    assert found.power == pytest.approx(found.pressure * flow)
+    places, course = found.course(lambda x: x.friction + x.weight)
+    assert places[-1] == pytest.approx(line.length) and course[0] == pytest.approx(found.pressure) and course[-1] == 0
+    assert course[1] == pytest.approx(found.pressure - losses[0])
+
+
+BEND = {"bend": {"to": "up", "radius": 0.5}}
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"parts": []}, r"^parts = \[\]: must be a list of one part or more"),
+        ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of m, cm, mm"),
+        ({"diameter": -1}, r"^diameter = -1\.0: must be a finite number above 0 m"),
+        ({"speed": 1}, r"^line's key = 'speed': must be one of name, source"),
+        ({"begin": "north"}, r"^begin = 'north': must be one of level, up, down"),
+        ({"parts": ["straight"]}, r"^part 1 = 'straight': must be one of straight, bend, reducer, and what it is"),
+        ({"parts": [{"elbow": 1}]}, r"^part 1 = 'elbow': must be one of straight, bend, reducer"),
+        ({"parts": [{"straight": {"long": 1}}]}, r"^part 1, straight: key = 'long': must be one of length, rise"),
+        ({"parts": [{"straight": 0}]}, r"^part 1, straight: length = 0\.0: must be a finite number above 0 m"),
+        ({"parts": [{"straight": 1}, {"straight": {"length": 1, "diameter": "100 mm"}}]},
+         r"^part 2, straight: diameter = '100 mm': does not fit a part before it of 0\.125 m; put a reducer"),
+        ({"parts": [{"straight": {"length": 5, "rise": 5}}]},
+         r"^part 1, straight: rise = 5: does not fit: the line goes on with a rise of 0 m over 5 m; put a bend"),
+        ({"parts": [BEND, BEND]}, r"^part 2, bend: to = 'up': is where the line goes already, or came from"),
+        ({"parts": [{"bend": {"to": "up"}}]}, r"^part 1, bend = \{'to': 'up'\}: must say its radius"),
+        ({"parts": [{"bend": {"radius": 1}}]}, r"^part 1, bend: to = None: must be one of up, down, left"),
+        ({"parts": [{"bend": {"to": "up", "radius": 1, "angle": 180}}]}, r"angle = 180\.0: must be in \[1, 135\]"),
+        ({"parts": [{"bend": {"to": "up", "radius": "50 mm"}}]}, r"radius = 0\.05: must exceed the pipe's, 0\.0625 m"),
+        ({"parts": [{"reducer": {"to": 0.125, "length": 1}}]}, r"reducer: to = 0\.125: is the diameter that the line"),
+        ({"parts": [{"reducer": {"to": 0.1, "length": 0.01}}]}, r"length = 0\.01: must be half of what .* 0\.0125 m"),
+        ({"largest_stone": "110 mm"}, r"^largest_stone = 0\.11: does not pass part 5, 125 to 100 mm, of 0\.1 m"),
+    ],
+)  # fmt: skip
+def test_lines_that_cannot_be_are_refused_in_one_line(changed, words):
+    with pytest.raises(SceneError, match=words):
+        line_of(SHAPED | changed)
+
+
+def test_a_line_that_meets_itself_is_refused():
+    """Three bends to the left and down on its start; with 0.2 m left, a wide pipe still does."""
+    left = {"bend": {"to": "left", "radius": 0.5}}
+    around = [{"straight": 4}, left, {"straight": 4}, left, {"straight": 3}, left]
+    with pytest.raises(SceneError, match=r"^parts = \[1, 7\]: meet: the line crosses itself there"):
+        line_of({"diameter": 0.1, "parts": [*around, {"straight": 4.6}]})
+    shorter = [*around, {"straight": 4.3}]
+    assert line_of({"diameter": 0.1, "parts": shorter}).length > 0
+    with pytest.raises(SceneError, match=r"^parts = \[1, 7\]: meet"):
+        line_of({"diameter": 0.4, "parts": shorter})
+
+
+def test_stones_that_may_block_are_told():
+    assert line_of(SHAPED | {"largest_stone": "32 mm"}).remarks() == []
+    (remark,) = line_of(SHAPED | {"largest_stone": "34 mm"}).remarks()
+    assert remark.startswith("stones of 34 mm in a bore of 100 mm may block")
+
+
+def test_shipped_lines_are_as_the_paper_has_them():
+    """Zhan et al. 2019, Eq. 13: 576 m up and 83 along, 582 and 150."""
+    assert shipped_lines() == ("burj-khalifa", "shanghai-tower")
+    for name, up, along, recorded in (("burj-khalifa", 576, 83, 17.1e6), ("shanghai-tower", 582, 150, 23.4e6)):
+        line = read_line(name)
+        assert line.recorded == recorded and line.flow == pytest.approx(0.3 * math.pi * 0.075**2, rel=2e-3)
+        assert line.rise == up + 0.5 and sum(p.length for p in line.parts if p.rise == 0) == along
+    with pytest.raises(SceneError, match=r"^line = 'burj': is no file and none of burj-khalifa, shanghai-tower"):
+        read_line("burj")
+
+
+@pytest.mark.thorough
+def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch):
+    """Two equal bends are one run; what is simulated lies by the closed form; a second line uses the same folder."""
+    parts = [{"straight": 2}, BEND, {"straight": 3}, {"bend": {"to": "level", "radius": 0.5}}, {"straight": 1},
+             {"reducer": {"to": 0.1, "length": 0.3}}]  # fmt: skip
+    line, concrete, flow = line_of({"diameter": 0.125, "parts": parts}), concrete_of("no1"), 0.005
+    found = run_line(line, concrete, flow, out=tmp_path / "line", cells=8, device=device)
+    assert sorted(path.name for path in (tmp_path / "line" / "parts").iterdir()) == [
+        "bend-125-90-0.5-cells-8", "reducer-125-100-0.3-cells-8", "straight-125",
+    ]  # fmt: skip
+    for loss in found.losses:
+        allowed = 2e-3 if loss.part.kind == "straight" else 0.12
+        assert loss.friction == pytest.approx(loss.theory, rel=allowed), loss.part.label
+        assert loss.friction > 0.998 * loss.theory
+    assert found.losses[1].friction == found.losses[3].friction
+    record = json.loads((tmp_path / "line" / "line.json").read_text())
+    assert record["pressure"]["value"] == pytest.approx(found.pressure) and len(record["parts"]) == 6
+    assert (tmp_path / "line" / "line.png").stat().st_size > 10_000
+    assert "| 2 | bend of 90 degrees, radius 0.5 m |" in (tmp_path / "line" / "line.md").read_text()
+
+    def refused(*given, **settings):
+        raise AssertionError("is simulated again")
+
+    monkeypatch.setattr(line_run, "Simulation", refused)
+    longer = line_of({"diameter": 0.125, "parts": [{"straight": 50}, *parts[1:]]})
+    again = run_line(longer, concrete, flow, out=tmp_path / "line", cells=8, device=device)
+    metre = found.losses[0].friction / 2
+    assert again.pressure - found.pressure == pytest.approx(48 * metre, rel=1e-9)
+    with pytest.raises(AssertionError, match="again"):
+        run_line(longer, concrete, 2 * flow, out=tmp_path / "line", cells=8, device=device)
+
+
+def test_the_command_adds_up_a_line(tmp_path):
+    path = tmp_path / "site.yaml"
+    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+    done = CliRunner().invoke(cli, ["line", str(path), "--theory"])
+    assert done.exit_code == 0, done.output
+    theory = run_line(read_line(path), concrete_of("no1"), 20 / 3600, simulate=False)
+    assert f"pressure at the pump {theory.pressure / 1e5:.4g} bar" in done.output
+    other = CliRunner().invoke(cli, ["line", str(path), "--theory", "--flow", "40 m3/h", "--concrete", "no3"])
+    more = run_line(read_line(path), concrete_of("no3"), 40 / 3600, simulate=False)
+    assert f"{more.pressure / 1e5:.4g} bar" in other.output and more.pressure > theory.pressure
+    path.write_text("diameter: 125 mm\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+    refused = CliRunner().invoke(cli, ["line", str(path), "--theory"])
+    assert refused.exit_code == 2 and "flow: neither the line nor an option has it" in refused.output
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "file").write_text("")
+    taken = CliRunner().invoke(cli, ["line", str(path), "--flow", "20 m3/h", "--out", str(tmp_path / "else")])
+    assert "else" in str(taken.exception)
+    assert [p.name for p in (tmp_path / "else").iterdir()] == ["file"]
+
+
+def test_two_segments_are_as_far_apart_as_geometry_says():
+    from warpcrete.studies.lines import _distance
+
+    a, b = np.zeros(3), np.array([1.0, 0, 0])
+    assert _distance(a, b, np.array([0.5, -1, 2]), np.array([0.5, 1, 2])) == pytest.approx(2)
+    assert _distance(a, b, np.array([2.0, 0, 0]), np.array([3.0, 0, 0])) == pytest.approx(1)
+    assert _distance(a, b, np.array([2.0, 1, 0]), np.array([2.0, 5, 0])) == pytest.approx(math.sqrt(2))
+    assert _distance(a, b, np.array([0.2, 3, 0]), np.array([0.8, 3, 0])) == pytest.approx(3)

@@ -1,0 +1,42 @@
+"""`warpcrete line`: the pressure that a line of pipes needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..core.amounts import amount
+from ..core.files import next_folder
+from ..core.progress import ProgressBar
+from ..mps.mixes import concrete_of
+from ..studies.line_result import lines_of
+from ..studies.line_run import run_line
+from ..studies.lines import read_line
+
+
+def run(
+    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int,
+    out: Path | None, device: str | None, threads: int | None, quiet: bool,
+) -> None:  # fmt: skip
+    """Run the parts of a line and print what it needs."""
+    given = read_line(line)
+    if flow is None and given.flow is None:
+        raise click.UsageError("flow: neither the line nor an option has it; --flow '30 m3/h'")
+    if concrete is None and given.concrete is None:
+        raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
+    rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
+    assert rate is not None
+    chosen = concrete_of(str(concrete or given.concrete))
+    progress = ProgressBar()
+    try:
+        found = run_line(
+            given, chosen, rate, out=out or (None if theory else next_folder("line")), simulate=not theory,
+            cells=cells, layer_factor=layer_factor, device=device, threads=threads,
+            progress=None if quiet else progress,
+        )  # fmt: skip
+    finally:
+        progress.close()
+    click.echo("\n" + "\n".join(lines_of(found)))
+    if found.folder is not None:
+        click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")

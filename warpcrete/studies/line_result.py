@@ -1,0 +1,176 @@
+"""What a line of pipes needs: the sum over its parts, as numbers, text and figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.units import quantity
+from ..mps.mixes import CONSTANTS
+from ..mps.theory import Concrete
+from .lines import Part, PipeLine, layered
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Of a part of a line."""
+
+    part: Part
+    friction: float
+    """[Pa]"""
+    theory: float
+    """By the closed form, as a straight pipe of its bore and length [Pa]."""
+    weight: float
+    """Of the concrete, over its rise [Pa]."""
+
+
+@dataclass(repr=False)
+class LineResult:
+    """What a line needs at its start."""
+
+    line: PipeLine
+    concrete: Concrete
+    flow: float
+    """[m3/s]"""
+    losses: list[Loss]
+    layer_factor: float
+    simulated: bool
+    folder: Path | None = None
+    took: dict[str, float] = field(default_factory=dict)
+    """Wall time of each simulation [s]."""
+
+    def __repr__(self) -> str:
+        return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
+
+    def added(self, of: Callable[[Loss], float]) -> float:
+        """Sum over the parts."""
+        return float(sum(of(loss) for loss in self.losses))
+
+    @property
+    def pressure(self) -> float:
+        """At the start of the line [Pa]."""
+        return self.added(lambda loss: loss.friction + loss.weight)
+
+    @property
+    def theory(self) -> float:
+        """The same by the closed form, bends and reducers as straight pipe [Pa]."""
+        return self.added(lambda loss: loss.theory + loss.weight)
+
+    @property
+    def power(self) -> float:
+        """That goes into the concrete [W]; a pump takes more."""
+        return self.pressure * self.flow
+
+    def band(self) -> tuple[float, float]:
+        """Pressure with a slip layer that resists `layer_factor` times less and more [Pa].
+
+        Friction changes as the closed form does.
+        """
+        low, high = (self.added(of) for of in self.ends())
+        return low, high
+
+    def ends(self) -> list[Callable[[Loss], float]]:
+        """What a part loses at the two ends of the band [Pa]."""
+        others = [layered(self.concrete, factor) for factor in (1 / self.layer_factor, self.layer_factor)]
+        return [lambda x, c=c: x.friction * x.part.friction(c, self.flow) / x.theory + x.weight for c in others]
+
+    def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
+        """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses."""
+        places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
+        lost = np.array([of(loss) for loss in self.losses])
+        return places, np.concatenate([np.cumsum(lost[::-1])[::-1], [0.0]])
+
+    def record(self) -> dict[str, Any]:
+        """As line.json has it."""
+        low, high = self.band()
+        return {
+            "line": self.line.name,
+            "source": self.line.source,
+            "concrete": {"name": self.concrete.name, **{name: getattr(self.concrete, name) for name in CONSTANTS}},
+            "flow": quantity(self.flow, "m3/s"),
+            "length": quantity(self.line.length, "m"),
+            "rise": quantity(self.line.rise, "m"),
+            "pressure": quantity(self.pressure, "Pa"),
+            "pressure_theory": quantity(self.theory, "Pa"),
+            "pressure_low": quantity(low, "Pa"),
+            "pressure_high": quantity(high, "Pa"),
+            "layer_factor": self.layer_factor,
+            "power": quantity(self.power, "W"),
+            "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
+            "simulated": self.simulated,
+            "remarks": self.line.remarks(),
+            "parts": [
+                {"number": x.part.number, "kind": x.part.kind, "what": x.part.label,
+                 "diameter": quantity(x.part.diameter, "m"), "length": quantity(x.part.length, "m"),
+                 "rise": quantity(x.part.rise, "m"), "friction": quantity(x.friction, "Pa"),
+                 "friction_theory": quantity(x.theory, "Pa"), "weight": quantity(x.weight, "Pa")}
+                for x in self.losses
+            ],
+            "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
+        }  # fmt: skip
+
+
+def lines_of(result: LineResult) -> list[str]:
+    """Headline, and a table of the parts, as text."""
+    low, high = result.band()
+    found = [
+        f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
+        f"{3600 * result.flow:.4g} m3/h",
+        "",
+        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with a slip layer that resists "
+        f"{result.layer_factor:g} times less or more",
+        f"- by theory, bends and reducers as straight pipe, {_bar(result.theory)}",
+        f"- power into the concrete {result.power / 1e3:.3g} kW",
+    ]
+    if result.line.recorded is not None:
+        found.append(f"- recorded {_bar(result.line.recorded)} ({result.line.source})")
+    found += [f"- {remark}" for remark in result.line.remarks()]
+    found += ["", "| part | | diameter [mm] | length [m] | rise [m] | friction [kPa] | theory [kPa] | weight [kPa] |",
+              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    for x in result.losses:
+        part = x.part
+        cells = [f"{part.number}", part.label, f"{1e3 * part.diameter:g}", f"{part.length:.4g}", f"{part.rise:.4g}"]
+        cells += [f"{each / 1e3:.4g}" for each in (x.friction, x.theory, x.weight)]
+        found.append(f"| {' | '.join(cells)} |")
+    return found
+
+
+def _bar(pressure: float) -> str:
+    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
+
+
+def draw(result: LineResult) -> Any:
+    """Matplotlib figure of the pressure along a line: ours with its band, and theory."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    low, high = (result.course(of)[1] / 1e5 for of in result.ends())
+    places, ours = result.course(lambda x: x.friction + x.weight)
+    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0,
+                      label=f"slip layer {result.layer_factor:g} times less, more")  # fmt: skip
+    if result.simulated:
+        axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated")
+    axes.plot(*_scaled(result.course(lambda x: x.theory + x.weight)), "k--", linewidth=1.0, label="theory")
+    axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
+    begin = 0.0
+    for x in result.losses:
+        if x.part.kind != "straight":
+            axes.axvspan(begin, begin + x.part.length, color="C1" if x.part.kind == "bend" else "C2", alpha=0.35,
+                         linewidth=0)  # fmt: skip
+        begin += x.part.length
+    if result.line.recorded is not None:
+        axes.plot(0, result.line.recorded / 1e5, "k+", markersize=11, clip_on=False, label="recorded")
+    axes.set(xlabel="along the line [m]", ylabel="pressure [bar]", xlim=(0, places[-1]), ylim=(0, None))
+    axes.set_title(f"{result.line.name}, {result.concrete.name}, {3600 * result.flow:.3g} m3/h", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _scaled(course: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    return course[0], course[1] / 1e5

@@ -1,0 +1,153 @@
+"""Pressure that a line of pipes needs: each kind of part simulated once, as a flow, and added up."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import between, positive
+from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.units import number
+from ..methods import Simulation
+from ..mps.mixes import CONSTANTS
+from ..mps.theory import Concrete
+from ..record.run_folder import TableRecorder
+from ..scenes import modules
+from .line_result import LineResult, Loss, draw, lines_of
+from .lines import Part, PipeLine
+
+GRAVITY = 9.81
+"""[m/s2]"""
+CELLS = 12
+"""Across a bore; 10 err by 1.5 % on a straight pipe's friction, as the table of what was measured has it."""
+TUBE_CELLS = 20
+"""Across a straight pipe, which is the cheaper for being endless."""
+LAYER_FACTOR = 2.0
+"""By which a slip layer that was not measured may be off, either way."""
+AHEAD = 2.5
+"""Diameters of straight pipe before and behind a bend or reducer that is simulated."""
+RECORD = "line.json"
+Progress = Callable[[str, float, dict[str, Any]], None]
+
+
+def run_line(
+    line: PipeLine,
+    concrete: Concrete,
+    flow: float,
+    *,
+    out: Path | None = None,
+    simulate: bool = True,
+    cells: int = CELLS,
+    layer_factor: float = LAYER_FACTOR,
+    device: str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> LineResult:
+    """Pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
+
+    Each kind of part is simulated once, without weight, `cells` across its bore: straight pipe as an endless one, bends
+    and reducers between straight stretches, of which they get what the part loses beyond them; without `simulate` the
+    closed form stands for all. Runs go into the folder `out`, where they are found again: a folder of an earlier
+    line is gone on with. Raises :class:`SceneError` for a flow or settings that make no scene.
+    """
+    positive("flow", flow, "m3/s")
+    between("layer_factor", layer_factor, 1, math.inf)
+    between("cells", cells, 8, math.inf)
+    if out is not None and not (out / RECORD).is_file() and not (out / "parts").is_dir():
+        check_new(out)
+    tell = progress or (lambda phase, fraction, figures: None)
+    kinds = {part.alike: part for part in line.parts} if simulate else {}
+    cases = {key: _case(part, concrete, flow, cells) for key, part in kinds.items()}
+    # Every scene is made before the first runs, so that what cannot be is refused at once.
+    scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
+    found: dict[tuple[Any, ...], float] = {}
+    took: dict[str, float] = {}
+    for place, (key, part) in enumerate(kinds.items()):
+
+        def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
+            tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
+
+        folder = out / "parts" / _folder_name(part, cells) if out is not None else None
+        result = _known(folder, scenes[key])
+        if result is None:
+            recorders = [] if folder is None else [TableRecorder(_free(folder))]
+            run = Simulation(scenes[key], device=device, threads=threads, recorders=recorders, progress=hear).run()
+            if not run.finished:
+                raise KeyboardInterrupt
+            result = run.result
+        took[part.label if part.kind != "straight" else f"straight of {1e3 * part.diameter:g} mm"] = number(
+            result["speed"]["wall_time"]
+        )
+        found[key] = _lost(part, result)
+    losses = []
+    for part in line.parts:
+        theory = part.friction(concrete, flow)
+        ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
+        losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
+    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took)
+    if out is not None:
+        _write(result, out)
+    return result
+
+
+def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
+    """Scene and parameters that a kind of part is simulated by, without weight."""
+    own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
+    own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
+    if part.kind == "straight":
+        return "tube", {**own, "ends": "periodic", "spacing": part.diameter / TUBE_CELLS}
+    narrow, wide = min(part.diameter, part.outlet), max(part.diameter, part.outlet)
+    spacing = narrow / cells
+    fastest = flow / (math.pi * narrow**2 / 4)
+    own |= {"spacing": spacing, "straight": AHEAD * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
+    if part.kind == "bend":
+        return "part", {**own, "unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
+    return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet, "taper": part.length}
+
+
+def _lost(part: Part, result: Mapping[str, Any]) -> float:
+    """Friction of a bend or reducer [Pa], or of a straight pipe by the metre [Pa/m], from its run."""
+    if part.kind == "straight":
+        return 4 * number(result["wall_stress"]) / part.diameter
+    return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
+
+
+def _folder_name(part: Part, cells: int) -> str:
+    if part.kind == "straight":
+        return f"straight-{1e3 * part.diameter:g}"
+    shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
+    return f"{part.kind}-{1e3 * part.diameter:g}-{shape}-cells-{cells}"
+
+
+def _known(folder: Path | None, scene: Any) -> dict[str, Any] | None:
+    """result.json of a finished run of that very scene in a folder."""
+    if folder is None:
+        return None
+    for here in sorted(folder.parent.glob(f"{folder.name}*")):
+        record, result = here / "scene.json", here / "result.json"
+        if record.is_file() and result.is_file():
+            same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
+            found = read_json(result)
+            if same and found.get("finished"):
+                return found
+    return None
+
+
+def _free(folder: Path) -> Path:
+    """The folder, or one with a number behind, so that a cut run, or one of another flow, stays where it is."""
+    count, free = 1, folder
+    while free.exists():
+        count += 1
+        free = folder.with_name(f"{folder.name}-{count}")
+    return free
+
+
+def _write(result: LineResult, out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / RECORD, result.record())
+    (out / "line.md").write_text("\n".join(lines_of(result)) + "\n")
+    with whole_file(out / "line.png") as partial:
+        draw(result).savefig(partial, dpi=150, format="png")
