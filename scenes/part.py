@@ -38,7 +38,8 @@ class PartParameters(ConcreteParameters, PartSettings):
     straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above()] = 0.3
     elbow_radius: Annotated[float, "of a bend's centreline [m]", Above()] = 0.25
     angle: Annotated[float, "of a bend [degrees]", Within(5, 135)] = 90.0
-    outlet_diameter: Annotated[float | None, "of a straight unit that narrows or widens [m]", Above()] = None
+    outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
+                               "with a bend a stretch behind it [m]", Above()] = None  # fmt: skip
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
     wall: Annotated[str | None, "mesh file of the bore (STL, OBJ ...) in place of the round pipe: its axis begins at "
@@ -58,14 +59,13 @@ def scene(parameters: PartParameters) -> PartScene:
     """
     given = parameters
     bends = given.unit.startswith("bend")
-    if bends and given.outlet_diameter is not None:
-        refuse("outlet_diameter", given.outlet_diameter, "is that of a straight unit", "take unit vertical, horizontal")
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
-    taper = None
+    axis, taper = _axis(given, bends), None
     if given.outlet_diameter is not None:
         if given.wall is not None:
             refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
-        taper = (given.straight, given.straight + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
+        before = axis.length - given.straight - given.taper
+        taper = (before, before + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
     narrow = min(given.diameter, given.outlet_diameter or given.diameter) / 2
     Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
     wall = None
@@ -78,7 +78,7 @@ def scene(parameters: PartParameters) -> PartScene:
     return PartScene(
         name="part",
         concrete=concrete,
-        axis=_axis(given, bends),
+        axis=axis,
         radius=radius,
         flow=given.flow,
         spacing=given.spacing,
@@ -93,13 +93,16 @@ def scene(parameters: PartParameters) -> PartScene:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """From the origin; z is up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    # The cone lies in the middle of a straight unit, and a stretch behind a bend.
+    narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
-        length = 2 * given.straight + (given.taper if given.outlet_diameter is not None else 0.0)
-        return Axis(origin, up if given.unit == "vertical" else along, (Line(length),))
+        return Axis(
+            origin, up if given.unit == "vertical" else along, (Line(given.straight + (narrowing or given.straight)),)
+        )
     tangent = up if given.unit == "bend-to-horizontal" else along
     towards = {"bend-to-horizontal": along, "bend-to-vertical": up, "bend-level": aside}[given.unit]
     arc = Arc(given.elbow_radius, math.radians(given.angle), towards)
-    return Axis(origin, tangent, (Line(given.straight), arc, Line(given.straight)))
+    return Axis(origin, tangent, (Line(given.straight), arc, Line(given.straight + narrowing)))
 
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:

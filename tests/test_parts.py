@@ -149,7 +149,7 @@ def test_frames_turn_places_and_turn_them_back():
         ({"spacing": 0.03}, "spacing = 0.03: must leave 6 cells"),
         ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: lets concrete"),
         ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
-        ({"outlet_diameter": 0.08}, "outlet_diameter = 0.08: is that of a straight unit"),
+        ({"outlet_diameter": 0.08, "wall": "x.stl"}, "outlet_diameter = 0.08: is the mesh's own"),
         ({"angle": 170.0}, "angle = 170"),
         ({"flow": 0.0}, "flow = 0.0"),
         ({"unit": "sideways"}, "unit = 'sideways'"),
@@ -164,6 +164,16 @@ def test_frames_turn_places_and_turn_them_back():
 def test_what_is_no_part_is_refused(given, words):
     with pytest.raises(SceneError, match=words.replace("(", r"\(")):
         scenes.part(**given)
+
+
+def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
+    scene = scenes.part(unit="bend-level", straight=0.4, outlet_diameter=0.08, taper=0.2)
+    arc = scene.axis.pieces[1].length
+    assert scene.taper == pytest.approx((0.8 + arc, 1.0 + arc, 0.04)) and scene.axis.length == pytest.approx(1.4 + arc)
+    assert scene.middle == pytest.approx((0.4, 1.0 + arc))
+    assert scene.bore(np.array([0.5, 0.9 + arc, 1.2 + arc])) == pytest.approx([0.05, 0.045, 0.04])
+    with pytest.raises(SceneError, match=r"^taper = .*: may not lie in the bend; put it before or behind$"):
+        dataclasses.replace(scene, taper=(0.5, 0.7, 0.04))
 
 
 def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):

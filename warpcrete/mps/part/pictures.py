@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run_loop import Run
+from .scene import PartScene
 
 
 def plot_part(run: Run) -> Any:
@@ -25,7 +26,7 @@ def plot_part(run: Run) -> Any:
     along.plot(fine, theory, "k--", linewidth=0.9, label="as straight pipes, theory")
     begin, end = scene.middle
     if end > begin:
-        along.axvspan(begin, end, color="0.92", zorder=0, label="bend" if len(scene.axis.pieces) > 1 else "taper")
+        along.axvspan(begin, end, color="0.92", zorder=0, label=_middle(scene))
     along.set(xlabel="along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
     along.legend(frameon=False, fontsize=8)
     course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:])
@@ -34,6 +35,12 @@ def plot_part(run: Run) -> Any:
     for axes in (along, course):
         axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def _middle(scene: PartScene) -> str:
+    """What lies between the straight stretches."""
+    names = ["bend"] * (len(scene.axis.pieces) > 1) + ["taper"] * (scene.taper is not None)
+    return ", ".join(names) or "other bore"
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

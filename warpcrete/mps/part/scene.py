@@ -91,8 +91,8 @@ class PartScene(PartSettings):
             positive("outlet radius", narrow, "m")
             between("taper", begin, 0, end, "m")
             between("taper", end, np.nextafter(begin, np.inf), self.axis.length, "m", "the taper must end in the part")
-            if arcs:
-                refuse("taper", self.taper, "may not be in a part with a bend", "simulate the two one by one")
+            if arcs and begin < self.axis.length - pieces[-1].length and end > pieces[0].length:
+                refuse("taper", self.taper, "may not lie in the bend", "put it before or behind")
         object.__setattr__(self, "_bores", self._measured_bores())
         least = 2 * min(float(self.bore(s)) for s in np.linspace(0, self.axis.length, 50))
         if self.spacing > least / FEWEST:
@@ -155,16 +155,18 @@ class PartScene(PartSettings):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Arc lengths between which the part is no straight pipe [m]: its bend, its taper, or where a mesh's bore
-        changes; none: both are the middle.
+        """Arc lengths between which the part is no straight pipe [m]: its bend, its taper, or from one to the other,
+        or where a mesh's bore changes; none: both are the middle.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
-        if self.axis.pieces[0] is not self.axis.pieces[-1] and len(self.axis.pieces) > 1:
-            first = self.axis.pieces[0].length
-            return first, self.axis.length - self.axis.pieces[-1].length
+        ends = []
+        if len(self.axis.pieces) > 1:
+            ends += [self.axis.pieces[0].length, self.axis.length - self.axis.pieces[-1].length]
         if self.taper is not None:
-            return self.taper[0], self.taper[1]
+            ends += self.taper[:2]
+        if ends:
+            return min(ends), max(ends)
         if measured is not None and np.ptp(measured[1]) > 0.03 * self.radius:
             s, radii = measured
             step, off = s[1] - s[0], 0.01 * self.radius
