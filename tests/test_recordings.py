@@ -1,18 +1,21 @@
 """What recordings and scenes hold, read back with the libraries that made them, against the state that was recorded."""
 
+import sys
 import threading
 import time
 
+import h5py
 import numpy as np
 import pytest
 
-from warpcrete import Simulation, scenes
+from warpcrete import RunFolderError, Simulation, WarpcreteError, scenes
 from warpcrete.core.later import MOST, Later
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem import clumps
 from warpcrete.dem.scene import Bodies, Scene
 from warpcrete.geometry.rotation import rotate
 from warpcrete.geometry.walls import PlaneWall, Prescribed
+from warpcrete.record.paraview import ParaViewRecorder, Poly
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
 
@@ -71,7 +74,7 @@ def recorded(request, tmp_path_factory):
         ),
     )  # fmt: skip
     kept = Kept()
-    recorders = [kept, RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc")]
+    recorders = [kept, RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc"), ParaViewRecorder(folder)]
     with pytest.MonkeyPatch.context() as patch:
         recording(patch, request.param == "beside the run")
         run = Simulation(scene, device="cpu", recorders=recorders, frame_interval=INTERVAL).run()
@@ -151,6 +154,91 @@ def columns(path, entity: str) -> dict[str, list]:
     return found
 
 
+def test_paraview_has_every_sphere_and_wall_as_the_state_has_it(recorded):
+    """Read by VTK's own reader, at every time."""
+    vtk = pytest.importorskip("vtk", reason="needs VTK's reader (pip install vtk; in the extra 'test')")
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    folder, kept = recorded
+    found = {}
+    for name in ("bodies", "walls"):
+        reader = vtk.vtkHDFReader()
+        reader.SetFileName(str(folder / f"{name}.vtkhdf"))
+        reader.UpdateInformation()
+        times = reader.GetOutputInformation(0).Get(vtk.vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+        assert times == pytest.approx(kept.times, abs=1e-12)
+        for number, time_ in enumerate(times):
+            reader.UpdateTimeStep(time_)
+            drawn = reader.GetOutput()
+            data = drawn.GetPointData()
+            fields = {
+                data.GetArrayName(k): vtk_to_numpy(data.GetArray(k)).copy() for k in range(data.GetNumberOfArrays())
+            }
+            cells = [drawn.GetNumberOfVerts(), drawn.GetNumberOfPolys(), drawn.GetNumberOfLines()]
+            found[name, number] = vtk_to_numpy(drawn.GetPoints().GetData()).copy(), fields, cells
+    for number, (table, centres) in enumerate(zip(kept.tables, kept.centres)):
+        points, fields, cells = found["bodies", number]
+        assert points == pytest.approx(centres, abs=1e-7) and cells == [len(centres), 0, 0]
+        assert fields["velocity"] == pytest.approx(table.velocity[fields["body"]][:, :3], rel=1e-6)
+        assert np.bincount(fields["body"]).sum() == len(centres) and set(fields["body"]) == set(range(6))
+        assert fields["radius"].min() > 0 and fields["colour"].shape == (len(centres), 3)
+        points, fields, cells = found["walls", number]
+        position, orientation = kept.poses[number]
+        # A slab of 0.1 m about the paddle's middle, half of it to either side, wherever it has turned to.
+        own = rotate(np.broadcast_to(orientation, (len(points), 4)), points.astype(float) - position, inverse=True)
+        if number == 0:
+            first = own
+        assert cells[1] > 8 and np.all(fields["wall"] == 0) and own == pytest.approx(first, abs=1e-6)
+        assert np.linalg.norm(own[:, :2], axis=1).max() == pytest.approx(0.1, rel=1e-2)
+
+
+def test_steps_of_a_file_for_paraview_are_the_same_however_they_came_in(tmp_path):
+    """Four steps, each with more lines than the one before: at once, in two goes, and cut from five."""
+    random = np.random.default_rng(0)
+    steps = []
+    for k in range(5):
+        points, cells = random.normal(size=(2 * k, 3)), np.arange(2 * k).reshape(-1, 2)
+        steps.append(
+            (0.1 * k, points, cells, {"bonded": np.arange(2 * k, dtype="u1"), "v": random.normal(size=(2 * k, 3))})
+        )
+
+    def written(name, *goes, keep=None):
+        file = Poly(tmp_path / name, "Lines")
+        for go in goes:
+            for step in go:
+                file.add(*step)
+            file.write()
+        if keep is not None:
+            file.shorten(keep)
+        return everything(tmp_path / name)
+
+    once = written("once", steps[:4])
+    for other in (
+        written("twice", steps[:1], steps[1:4]),
+        written("cut", steps, keep=4),
+        written("same", steps[:4], keep=4),
+    ):
+        assert set(other) == set(once)
+        for name, array in once.items():
+            assert np.array_equal(array, other[name]), name
+    assert once["VTKHDF/Steps/CellOffsets"].tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0], [0, 3, 0, 0]]
+    assert once["VTKHDF/Lines/NumberOfCells"].tolist() == [0, 1, 2, 3]
+    assert once["VTKHDF/Lines/Offsets"].tolist() == [0, 0, 2, 0, 2, 4, 0, 2, 4, 6]
+    with h5py.File(tmp_path / "cut") as file:
+        assert file["VTKHDF/Steps"].attrs["NSteps"] == 4 and file["VTKHDF"].attrs["Type"] == b"PolyData"
+    for path, count in ((tmp_path / "cut", 5), (tmp_path / "none", 1)):
+        with pytest.raises(RunFolderError, match=r"is missing or damaged; the run cannot be resumed"):
+            Poly(path, "Lines").shorten(count)
+    Poly(tmp_path / "cut", "Lines").shorten(0)
+    assert not (tmp_path / "cut").exists()
+
+
+def test_paraview_says_what_it_needs(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(WarpcreteError, match=r"^paraview needs h5py: pip install 'warpcrete\[paraview\]'$"):
+        ParaViewRecorder(tmp_path)
+
+
 def test_rerun_has_every_frame_and_every_row_with_its_time(recorded):
     folder, kept = recorded
     spheres = columns(folder / "run.rrd", "/scene/aggregates")
@@ -217,7 +305,8 @@ def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypat
         folder = tmp_path / str(beside)
         folder.mkdir()
         recorders = [RerunRecorder(folder / "run.rrd", colouring=colouring, network=network),
-                     UsdRecorder(folder / "scene.usdc", colouring=colouring)]  # fmt: skip
+                     UsdRecorder(folder / "scene.usdc", colouring=colouring),
+                     ParaViewRecorder(folder, colouring=colouring)]  # fmt: skip
         if beside:
             for recorder in recorders:
                 lag(recorder, monkeypatch)
@@ -239,6 +328,14 @@ def lag(recorder, monkeypatch):
     monkeypatch.setattr(recorder, "_draw", slowly)
 
 
+def everything(path):
+    """All arrays of a VTKHDF file, by their paths."""
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
 def contents(folder, run):
     """All that recordings hold of bodies, walls, networks and curves, as text."""
     from pxr import Usd
@@ -256,6 +353,8 @@ def contents(folder, run):
             codes = attribute.GetTimeSamples()
             if codes:
                 found[str(attribute.GetPath())] = [(code, str(attribute.Get(code))) for code in codes]
+    for path in sorted(folder.glob("*.vtkhdf")):
+        found |= {f"{path.stem} {name}": [str(array.tolist())] for name, array in everything(path).items()}
     return found
 
 

@@ -180,6 +180,10 @@ class Display(ABC):
     def colours(self) -> np.ndarray:
         """RGB bytes of all spheres, shape (n, 3)."""
 
+    def fields(self) -> dict[str, np.ndarray]:
+        """Quantities of all spheres in SI units by name, shape (n,) or (n, 3)."""
+        return {}
+
     @abstractmethod
     def plots(self) -> tuple[Plot, ...]:
         """Curves beside the scene."""

@@ -72,6 +72,14 @@ class ElementDisplay(Display):
         body = self.read("bodies.id")[self.read("spheres.body")[self._sphere_order()]]
         return self.body_colours()[body]
 
+    def fields(self) -> dict[str, np.ndarray]:
+        """Of every sphere its body's number, velocity [m/s] and largest contact force [N]."""
+        model, state = self.simulation.model, self.simulation.state
+        place = self.read("spheres.body")[self._sphere_order()]
+        force = self.once("largest forces", lambda: largest_forces(model, state))
+        velocity = self.read("bodies.velocity")
+        return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
+
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""
         order = self._body_order()

@@ -66,9 +66,16 @@ class FlowDisplay(Display):
             return "velocity [cm/s]", 100 * theory.slip_velocity, 100 * centre
         return None
 
+    def _snap(self) -> Snapshot:
+        return self.once("particles", lambda: Snapshot.of(self.simulation.flow))
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """Velocity along the pipe [m/s] and pressure [Pa]."""
+        return {"velocity": self._snap().velocity, "pressure": self._snap().pressure}
+
     def colours(self) -> np.ndarray:
         """RGB bytes of all particles, shape (n, 3)."""
-        snap = self.once("particles", lambda: Snapshot.of(self.simulation.flow))
+        snap = self._snap()
         scale = self.scale()
         if scale is not None:
             _, lower, upper = scale

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.run_loop import Recorder
 from .checks import Check, CheckRecorder
+from .paraview import ParaViewRecorder
 from .picture import PictureRecorder
 from .rerun import RerunRecorder
 from .run_folder import TableRecorder
@@ -43,6 +44,8 @@ RECORDERS = (
         folder / "run.rrd", live=look.live, colouring=look.colouring, network=look.network)),
     Kind("usd", True, "write scene.usdc", lambda folder, look: UsdRecorder(
         folder / "scene.usdc", colouring=look.colouring)),
+    Kind("paraview", False, "write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
+         lambda folder, look: ParaViewRecorder(folder, colouring=look.colouring)),
 )  # fmt: skip
 
 

@@ -92,9 +92,9 @@ def explain(
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Wall time of a frame of each recorder [s], with its part of what they do at the end."""
+    """Wall time of a frame of each recorder that runs have by default [s], with its part of what they do at the end."""
     found = {}
-    for kind in RECORDERS:
+    for kind in (kind for kind in RECORDERS if kind.default):
         with tempfile.TemporaryDirectory() as folder:
             recorder = kind.make(Path(folder), Look())
             recorder.start(simulation)

@@ -96,6 +96,13 @@ class FreeDisplay(Display):
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
         return "rate of shear [1/s]", 0.0, FASTEST
 
+    def fields(self) -> dict[str, np.ndarray]:
+        """Speed [m/s] and pressure [Pa]."""
+        copies = len(self._mirrored) if self._solid else 1
+        speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
+        found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
+        return {name: np.tile(values[self._chosen[0]], copies) for name, values in found.items()}
+
     def colours(self) -> np.ndarray:
         """RGB bytes of all that is drawn, shape (n, 3)."""
         found = self._chosen[0]

@@ -58,6 +58,12 @@ class PartDisplay(Display):
         fastest = 1.5 * scene.velocity * (scene.radius / narrow) ** 2
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
+    def fields(self) -> dict[str, np.ndarray]:
+        """Speed [m/s] and the friction that is ahead [Pa]."""
+        speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
+        found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
+        return {name: np.tile(values[self._chosen], len(self._images)) for name, values in found.items()}
+
     def colours(self) -> np.ndarray:
         """RGB bytes of all that is drawn, shape (n, 3)."""
         if self.colouring == "pressure":

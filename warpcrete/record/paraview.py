@@ -1,0 +1,241 @@
+"""The run as VTKHDF files, which ParaView, PyVista and VTK open: bodies, walls and contacts over time.
+
+The format is that of VTK 9.3 and later, version 2.0 of its specification, as `PolyData` with steps. h5py writes it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import RunFolderError, WarpcreteError
+from ..core.files import whole_file
+from ..core.later import Later
+from ..core.run_loop import Recorder, Run, Simulation
+from ..geometry.rotation import rotate
+
+KINDS = ("Vertices", "Lines", "Polygons", "Strips")
+"""Cells of PolyData, in the order of the columns of CellOffsets."""
+VERSION = (2, 0)
+
+
+class ParaViewRecorder(Recorder):
+    """Writes `bodies.vtkhdf`, `walls.vtkhdf` and, of scenes whose bodies touch, `contacts.vtkhdf` into `folder`.
+
+    Bodies are points with `radius`, `colour` and the fields of the display, every clump by its own spheres (in
+    ParaView: Glyph, Sphere, scaled by `radius`, or Point Gaussian). Frames wait in memory and are written at
+    checkpoints, each time into a copy that then takes the file's place: what was there is never half a file. Raises
+    :class:`WarpcreteError` where h5py is not installed.
+    """
+
+    def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
+        try:
+            import h5py  # noqa: F401
+        except ImportError:
+            raise WarpcreteError("paraview needs h5py: pip install 'warpcrete[paraview]'") from None
+        self.folder, self.colouring = folder, colouring
+        self._frames = 0
+        self._files: dict[str, Poly] = {}
+
+    def start(self, simulation: Simulation) -> None:
+        """What is drawn, and the walls."""
+        self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        self._walls = self._display.walls()
+        self._files["bodies"] = Poly(self.folder / "bodies.vtkhdf", "Vertices")
+        if self._walls:
+            self._files["walls"] = Poly(self.folder / "walls.vtkhdf", "Polygons")
+        if self._display.has_network:
+            self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
+
+    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+        """Take out what came after the checkpoint."""
+        self.start(simulation)
+        self._frames = state["frames"]
+        for file in self._files.values():
+            file.shorten(self._frames)
+
+    def frame(self, simulation: Simulation) -> None:
+        """One step of each file."""
+        self._display.draw(self._later, self._draw)
+
+    def _draw(self, time: float, steps: int) -> None:
+        display = self._display
+        centres, radii = display.centres(), display.radii()
+        cells = np.arange(len(centres))[:, None]
+        fields = {"radius": radii.astype(np.float32), "colour": display.colours()}
+        fields |= {
+            name: values if values.dtype.kind in "iu" else values.astype(np.float32)
+            for name, values in display.fields().items()
+        }
+        self._files["bodies"].add(time, centres, cells, fields)
+        if self._walls:
+            self._draw_walls(time)
+        if display.has_network:
+            lines = display.network()
+            ends = np.concatenate([pairs.reshape(-1, 2, 3) for pairs, _ in lines.values()])
+            bonded = np.repeat([name == "bonds" for name in lines], [len(pairs) for pairs, _ in lines.values()])
+            pairs = np.arange(2 * len(ends)).reshape(-1, 2)
+            self._files["contacts"].add(time, ends.reshape(-1, 3), pairs, {"bonded": np.repeat(bonded, 2).astype("u1")})
+        self._frames += 1
+
+    def _draw_walls(self, time: float) -> None:
+        points, faces, of = [], [], []
+        count = 0
+        for number, wall in enumerate(self._walls):
+            position, orientation = self._display.wall_pose(number)
+            turns = np.broadcast_to(orientation, (len(wall.vertices), 4))
+            points.append(rotate(turns, wall.vertices.astype(float)) + position)
+            faces.append(wall.faces + count)
+            of.append(np.full(len(wall.vertices), number, np.int32))
+            count += len(wall.vertices)
+        self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
+
+    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+        """Write what waits."""
+        self._later.wait()
+        self._write()
+        return {"frames": self._frames}
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Write the rest."""
+        if self._files:
+            try:
+                self._later.close()
+            finally:  # what there is
+                self._write()
+
+    def _write(self) -> None:
+        for file in self._files.values():
+            file.write()
+
+
+class Poly:
+    """A file of PolyData with steps, each of them a part of its own."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        self.path, self.kind = path, kind
+        self._waiting: list[tuple[float, np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
+
+    def add(self, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+        """A step: points (n, 3) [m], cells as numbers of their points (m, k), and what belongs to the points."""
+        self._waiting.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
+
+    def write(self) -> None:
+        """Add the steps that wait to the file."""
+        import h5py
+
+        if not self._waiting:
+            return
+        with whole_file(self.path) as partial:
+            if self.path.is_file():
+                shutil.copyfile(self.path, partial)
+            with h5py.File(partial, "a") as file:
+                root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
+                for step in self._waiting:
+                    self._append(root, *step)
+        self._waiting = []
+
+    def _begin(self, file: Any) -> Any:
+        """Empty datasets that grow."""
+        root = file.create_group("VTKHDF")
+        root.attrs["Version"] = np.array(VERSION, np.int64)
+        root.attrs.create("Type", np.bytes_("PolyData"))
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = np.int64(0)
+        _empty(root, "NumberOfPoints", np.int64)
+        _empty(root, "Points", np.float32, 3)
+        for kind in KINDS:
+            for name in ("NumberOfConnectivityIds", "NumberOfCells", "Offsets", "Connectivity"):
+                _empty(root, f"{kind}/{name}", np.int64)
+        _empty(steps, "Values", np.float64)
+        for name in ("PartOffsets", "NumberOfParts", "PointOffsets"):
+            _empty(steps, name, np.int64)
+        for name in ("CellOffsets", "ConnectivityIdOffsets"):
+            _empty(steps, name, np.int64, len(KINDS))
+        root.create_group("PointData")
+        steps.create_group("PointDataOffsets")
+        return root
+
+    def _append(
+        self, root: Any, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]
+    ) -> None:
+        steps = root["Steps"]
+        _extend(steps["Values"], [time])
+        _extend(steps["PartOffsets"], [len(root["NumberOfPoints"])])
+        _extend(steps["NumberOfParts"], [1])
+        _extend(steps["PointOffsets"], [len(root["Points"])])
+        _extend(root["NumberOfPoints"], [len(points)])
+        # Offsets of a part are one more than its cells, which readers know: the step's counts cells alone.
+        before = [int(root[kind]["NumberOfCells"][:].sum()) for kind in KINDS]
+        _extend(steps["CellOffsets"], [before])
+        _extend(steps["ConnectivityIdOffsets"], [[len(root[kind]["Connectivity"]) for kind in KINDS]])
+        for kind in KINDS:
+            here = cells if kind == self.kind else np.zeros((0, 1), np.int64)
+            group = root[kind]
+            _extend(group["NumberOfCells"], [len(here)])
+            _extend(group["NumberOfConnectivityIds"], [here.size])
+            _extend(group["Offsets"], here.shape[1] * np.arange(len(here) + 1))
+            _extend(group["Connectivity"], here.ravel())
+        for name, values in fields.items():
+            if name not in root["PointData"]:
+                _empty(root["PointData"], name, values.dtype, *values.shape[1:])
+                _empty(steps["PointDataOffsets"], name, np.int64)
+            _extend(steps["PointDataOffsets"][name], [len(root["PointData"][name])])
+            _extend(root["PointData"][name], values)
+        _extend(root["Points"], points)
+        steps.attrs["NSteps"] = np.int64(len(steps["Values"]))
+
+    def shorten(self, count: int) -> None:
+        """Keep so many steps."""
+        import h5py
+
+        if count == 0:
+            self.path.unlink(missing_ok=True)
+            return
+        try:
+            with whole_file(self.path) as partial:
+                shutil.copyfile(self.path, partial)
+                with h5py.File(partial, "a") as file:
+                    _cut(file["VTKHDF"], count)
+        except (RunFolderError, KeyError, OSError) as error:
+            raise RunFolderError(f"'{self.path}': is missing or damaged; the run cannot be resumed") from error
+
+
+def _cut(root: Any, count: int) -> None:
+    """Leave the first steps."""
+    steps = root["Steps"]
+    there = int(steps.attrs["NSteps"])
+    if there < count:
+        raise KeyError("Steps")
+    if there == count:
+        return
+    points, cells = int(steps["PointOffsets"][count]), steps["CellOffsets"][count]
+    ids = steps["ConnectivityIdOffsets"][count]
+    for name in ("Values", "PartOffsets", "NumberOfParts", "PointOffsets", "CellOffsets", "ConnectivityIdOffsets"):
+        steps[name].resize(count, 0)
+    for name in root["PointData"]:
+        root["PointData"][name].resize(int(steps["PointDataOffsets"][name][count]), 0)
+        steps["PointDataOffsets"][name].resize(count, 0)
+    root["NumberOfPoints"].resize(count, 0)
+    root["Points"].resize(points, 0)
+    for place, kind in enumerate(KINDS):
+        root[kind]["NumberOfCells"].resize(count, 0)
+        root[kind]["NumberOfConnectivityIds"].resize(count, 0)
+        root[kind]["Offsets"].resize(int(cells[place]) + count, 0)
+        root[kind]["Connectivity"].resize(int(ids[place]), 0)
+    steps.attrs["NSteps"] = np.int64(count)
+
+
+def _empty(group: Any, name: str, kind: Any, *width: int) -> None:
+    rows = 1 << 10 if group.name.endswith("Steps") or "Number" in name else 1 << 14
+    group.create_dataset(name, (0, *width), maxshape=(None, *width), dtype=kind, chunks=(rows, *width))
+
+
+def _extend(dataset: Any, rows: Any) -> None:
+    count = len(dataset)
+    rows = np.asarray(rows, dataset.dtype).reshape(-1, *dataset.shape[1:])
+    dataset.resize(count + len(rows), 0)
+    dataset[count:] = rows
