@@ -153,3 +153,32 @@ def test_command():
     refused = run("--concrete", "no4")
     assert isinstance(refused.exception, SceneError) and "no1, no2, no3" in str(refused.exception)
     assert "viscosity = 0" in str(run("--viscosity", "0").exception)
+
+
+def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
+    """Points that concrete no. 1 with another layer gives, in the units of a site, columns the other way round."""
+    from dataclasses import replace
+
+    known = replace(CONCRETES["no1"], slip_viscosity=640.0, slip_yield=75.0)
+    line = Line(radius=0.0625, length=20.0, rise=0.0)
+    rows = [f"{steady(known, line, q / 3600).pressure / 1e5!r}, {q}" for q in (8, 15, 30, 45)]
+    points = tmp_path / "points.csv"
+    points.write_text("\n".join(["pressure [bar],flow [m3/h]", *rows]) + "\n")
+    pipe = ["--diameter", "0.125", "--length", "20", "--rise", "0"]
+    given = ["theory", "--concrete", "no1", *pipe, "--fit", str(points)]
+    done = CliRunner().invoke(cli, given)
+    assert done.exit_code == 0, done.output
+    assert "fitted to 4 points: --slip-viscosity 640 --slip-yield 75;" in done.output
+    assert done.output.count("\npipe ") == 4
+
+    def refused(text):
+        points.write_text(text)
+        return str(CliRunner().invoke(cli, given).exception)
+
+    assert "has no column 'pressure'; " in refused("flow [m3/h],p [bar]\n1,2\n")
+    assert "points.csv, line 3: pressure = 'bar': must be a number" in refused("flow [m3/h],pressure [bar]\n1,2\n2\n")
+    assert "needs two or more different flows" in refused("flow [m3/h],pressure [bar]\n1,2\n")
+    assert "line 2: flow = '1 m3/hr': must be a number" in refused("flow [m3/hr],pressure [bar]\n1,2\n2,3\n")
+    assert "which none has; look at length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
+    points.unlink()
+    assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)

@@ -165,10 +165,14 @@ class TheoryCommand(click.Command):
 @cli.command("theory", cls=TheoryCommand)
 @click.option("--flow", multiple=True, type=float, help="[m3/s]; may be repeated  [default: 0.0015]")
 @click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
+@click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
+              "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
 @click.pass_context
-def theory(context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], **values: Any) -> None:
+def theory(
+    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None, **values: Any
+) -> None:
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    _part("theory").run(_part("options").given(values, context), flow, pressure)
+    _part("theory").run(_part("options").given(values, context), flow, pressure, fit)
 
 
 @cli.command("view")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import click
 
+from ..core.amounts import amount
+from ..core.errors import SceneError, refuse
 from ..core.parameters import Field, declared_fields, resolved
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
-from ..mps.theory import Line, table
+from ..mps.theory import Concrete, Line, slip_constants, steady, table
 
 LINE = ("length", "rise", "gravity")
 """Fields of a line that have the same name there and here; its radius is half of the diameter."""
@@ -21,8 +27,9 @@ def fields() -> dict[str, Field]:
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
 
-def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...]) -> None:
-    """Print the table for the parameters `given`, others at their defaults."""
+def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...], fit: Path | None = None) -> None:
+    """Print the table for the parameters `given`, others at their defaults; with `fit`, a file of points that were
+    measured, for the slip layer that they ask for."""
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
     values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
@@ -31,4 +38,48 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     thickness = values["slip_thickness"]
     concrete = concrete_of(values["concrete"], **{name: values[name] for name in CONSTANTS})
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
+    if fit is not None:
+        measured = read_points(fit)
+        concrete = _fitted(concrete, line, *measured)
+        flows = flows or tuple(measured[0])
     click.echo(table(concrete, line, flows or (() if pressures else (FLOW,)), pressures))
+
+
+def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
+    """The concrete with the slip layer that measured points ask for; prints how well it meets them."""
+    slope, offset = slip_constants(concrete, line, flows, pressures)
+    if slope <= 0 or offset < 0:
+        raise SceneError(
+            f"fit: the points ask for a slip layer of {slope:.4g} Pa s/m and {offset:.4g} Pa, which none has; look at "
+            "length, rise and diameter, and at viscosity and yield stress, whose shear is taken off the flows"
+        )
+    found = replace(concrete, slip_viscosity=slope, slip_yield=offset)
+    off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]
+    click.echo(f"fitted to {len(flows)} points: --slip-viscosity {slope:.5g} --slip-yield {offset:.5g}; the closed "
+               f"form is then off by {100 * min(off):+.2g} to {100 * max(off):+.2g} %\n")  # fmt: skip
+    return found
+
+
+def read_points(path: Path) -> tuple[list[float], list[float]]:
+    """Flows [m3/s] and pressures [Pa] of a CSV file whose header names both, with units: `flow [m3/h],pressure [bar]`.
+
+    Raises :class:`SceneError` for a file without them.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except (OSError, UnicodeDecodeError) as error:
+        refuse("fit", str(path), f"cannot be read ({error})", "give a CSV file")
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[(.+)\])?\s*", head) for head in (rows[0] if rows else [])]
+    places = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
+    found = []
+    for name, unit in (("flow", "m3/s"), ("pressure", "Pa")):
+        if name not in places:
+            refuse(
+                "fit", str(path), f"has no column {name!r}", "its first line must be as 'flow [m3/h],pressure [bar]'"
+            )
+        place, own = places[name]
+        column = [row[place] if place < len(row) else "" for row in rows[1:]]
+        found.append([amount(f"{path.name}, line {k}: {name}", f"{text.strip()} {own}".strip(), unit)
+                      for k, text in enumerate(column, 2)])  # fmt: skip
+    return found[0], found[1]
