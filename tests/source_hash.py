@@ -27,6 +27,8 @@ def verdict() -> str:
         return "GPU: no record in tests/gpu.json; the suite has not run on a GPU"
     record = json.loads(RECORD.read_text())
     found = f"{record['device']}, {record['date']}: {record['passed']} passed, {record['skipped']} skipped"
+    if record.get("failed"):
+        found += f", FAILED {', '.join(record['failed'])}"
     if record["hash"] == source_hash():
         return f"GPU: tests/gpu.json is of this code ({found})"
     return f"GPU: tests/gpu.json is NOT of this code but of {record['hash'][:12]} ({found}); run the suite on a GPU"
