@@ -64,7 +64,7 @@ def scene(parameters: PartParameters) -> PartScene:
     if given.outlet_diameter is not None:
         if given.wall is not None:
             refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
-        before = axis.length - given.straight - given.taper
+        before = axis.length - given.straight - given.taper if bends else given.straight
         taper = (before, before + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
     narrow = min(given.diameter, given.outlet_diameter or given.diameter) / 2
     Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")

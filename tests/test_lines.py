@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from warpcrete import SceneError, Simulation, scenes
+from warpcrete import RunFolderError, SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.amounts import amount
 from warpcrete.core.units import number
@@ -15,7 +15,7 @@ from warpcrete.mps.mixes import concrete_of
 from warpcrete.mps.theory import Concrete
 from warpcrete.studies import line_run
 from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import line_of, read_line, shipped_lines
+from warpcrete.studies.lines import distances, line_of, read_line, shipped_lines
 
 SLIPPING = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)
 """A plug, which slides along the wall: every loss has a closed form."""
@@ -38,13 +38,14 @@ SHAPED = {
         ("30 m3/h", "m3/s", 30 / 3600), ("12 L/min", "m3/s", 2e-4), ("2l/s", "m3/s", 2e-3), (0.5, "m", 0.5),
         ("125 mm", "m", 0.125), ("5 in", "m", 0.127), ("12.5 bar", "Pa", 1.25e6), ("1e-1 MPa", "Pa", 1e5),
         ("3", "m", 3.0), (".5 km", "m", 500.0), ("90 deg", "degrees", 90.0), ("3.1415927 rad", "degrees", 180.0),
+        (np.int64(10), "m", 10.0), (np.float32(0.5), "m", 0.5),
     ],
 )  # fmt: skip
 def test_amounts_come_in_the_units_that_people_use(given, unit, value):
     assert amount("it", given, unit) == pytest.approx(value, rel=2e-8)
 
 
-@pytest.mark.parametrize("given", ["30 m3/hr", "thirty", "30 m3/h up", True, None, float("nan"), "30 mm"])
+@pytest.mark.parametrize("given", ["30 m3/hr", "thirty", "30 m3/h up", 10**400, [1], True, None, float("nan"), "30 mm"])
 def test_other_amounts_are_refused(given):
     with pytest.raises(SceneError, match=r"^flow = .*: must be a number with one of m3/s, m3/h, .* it is in m3/s$"):
         amount("flow", given, "m3/s")
@@ -93,6 +94,34 @@ def test_a_plug_loses_what_its_closed_form_says():
     assert course[1] == pytest.approx(found.pressure - losses[0])
 
 
+def test_concrete_that_runs_down_faster_than_it_is_pumped_pulls_at_nothing():
+    """Level, up, level, and 80 m down, which weigh more than they rub: the pump sees only what comes before."""
+    round_the_corner = {"bend": {"to": "level", "radius": 0.5}}
+    parts = [{"straight": 5}, BEND, {"straight": 5}, round_the_corner, {"straight": 5}]
+    down = [*parts, {"bend": {"to": "down", "radius": 0.5}}, {"straight": 80}]
+    alone = run_line(line_of({"diameter": 0.15, "parts": parts}), SLIPPING, 0.003, simulate=False)
+    found = run_line(line_of({"diameter": 0.15, "parts": down}), SLIPPING, 0.003, simulate=False)
+    assert found.pressure == pytest.approx(alone.pressure) and alone.remarks() == []
+    _, course = found.course(lambda x: x.friction + x.weight)
+    assert course.min() == 0 and course[5] == 0 and course[4] > 0
+    assert [remark.split(",")[0] for remark in found.remarks()] == [
+        f"concrete runs down part {k} faster than it is pumped" for k in (6, 7)
+    ]
+
+
+def test_bends_go_as_far_as_the_way_that_they_name():
+    """Half-way up, on and level again; beyond it is refused, and part of the way needs its angle."""
+    half = {"bend": {"to": "up", "radius": 1, "angle": 45}}
+    parts = [{"straight": 1}, half, {"straight": 2}, {"bend": {"to": "level", "radius": 1}}, {"straight": 1}]
+    line = line_of({"diameter": 0.1, "parts": parts})
+    assert line.parts[3].angle == pytest.approx(45) and line.parts[4].rise == pytest.approx(0, abs=1e-12)
+    assert line.rise == pytest.approx(2 * math.sqrt(0.5) + 2 * (1 - math.sqrt(0.5)))
+    upright = line_of({"diameter": 0.1, "parts": [half, {"bend": {"to": "up", "radius": 1}}, {"straight": 1}]})
+    assert upright.parts[1].angle == pytest.approx(45) and upright.parts[2].rise == pytest.approx(1)
+    with pytest.raises(SceneError, match=r"^part 2, bend: angle = 90\.0: goes beyond 'up', 45 degrees from where"):
+        line_of({"diameter": 0.1, "parts": [half, {"bend": {"to": "up", "radius": 1, "angle": 90}}]})
+
+
 BEND = {"bend": {"to": "up", "radius": 0.5}}
 
 
@@ -103,6 +132,7 @@ BEND = {"bend": {"to": "up", "radius": 0.5}}
         ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of m, cm, mm"),
         ({"diameter": -1}, r"^diameter = -1\.0: must be a finite number above 0 m"),
         ({"speed": 1}, r"^line's key = 'speed': must be one of name, source"),
+        ({"begin": ["up"]}, r"^begin = \['up'\]: must be one of level, up, down"),
         ({"begin": "north"}, r"^begin = 'north': must be one of level, up, down"),
         ({"parts": ["straight"]}, r"^part 1 = 'straight': must be one of straight, bend, reducer, and what it is"),
         ({"parts": [{"elbow": 1}]}, r"^part 1 = 'elbow': must be one of straight, bend, reducer"),
@@ -137,6 +167,11 @@ def test_a_line_that_meets_itself_is_refused():
     assert line_of({"diameter": 0.1, "parts": shorter}).length > 0
     with pytest.raises(SceneError, match=r"^parts = \[1, 7\]: meet"):
         line_of({"diameter": 0.4, "parts": shorter})
+    tight = {"bend": {"to": "left", "radius": 0.07, "angle": 135}}
+    with pytest.raises(SceneError, match=r"^parts = \[1, 3\]: meet"):
+        line_of({"diameter": 0.125, "parts": [{"straight": 5}, tight, tight, {"straight": 5}]})
+    around = {"bend": {"to": "left", "radius": 0.063}}
+    assert line_of({"diameter": 0.125, "parts": [{"straight": 5}, around, around, {"straight": 5}]}).length > 10
 
 
 def test_stones_that_may_block_are_told():
@@ -181,11 +216,31 @@ def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch)
 
     monkeypatch.setattr(line_run, "Simulation", refused)
     longer = line_of({"diameter": 0.125, "parts": [{"straight": 50}, *parts[1:]]})
-    again = run_line(longer, concrete, flow, out=tmp_path / "line", cells=8, device=device)
+    again = run_line(longer, concrete, flow, known=tmp_path / "line", out=tmp_path / "longer", cells=8, device=device)
+    assert again.took == {} and not (tmp_path / "longer" / "parts").exists()
     metre = found.losses[0].friction / 2
     assert again.pressure - found.pressure == pytest.approx(48 * metre, rel=1e-9)
     with pytest.raises(AssertionError, match="again"):
-        run_line(longer, concrete, 2 * flow, out=tmp_path / "line", cells=8, device=device)
+        run_line(longer, concrete, 2 * flow, known=tmp_path / "line", cells=8, device=device)
+    with pytest.raises(RunFolderError, match="line"):
+        run_line(longer, concrete, flow, out=tmp_path / "line", simulate=False)
+    with pytest.raises(SceneError, match=r"^known = .*longer': is no folder of a line with simulated parts"):
+        run_line(longer, concrete, flow, known=tmp_path / "longer", cells=8)
+
+
+@pytest.mark.thorough
+def test_a_part_that_fails_its_check_is_told(tmp_path, monkeypatch):
+    """Friction allowed to be off by nothing: in remarks, record, and the exit code, also where the run was known."""
+    monkeypatch.setattr(scenes.modules()["part"], "ACCURACY", 1e-9)
+    path = tmp_path / "site.yaml"
+    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - bend: {to: up, radius: 0.3 m}\n")
+    given = ["line", str(path), "--cells", "8", "--device", "cpu", "--quiet", "--out"]
+    for more in ([str(tmp_path / "one")], [str(tmp_path / "two"), "--known", str(tmp_path / "one")]):
+        done = CliRunner().invoke(cli, [*given, *more])
+        assert done.exit_code == 3
+        assert "- check FAILED in bend-125-90-0.3-cells-8: friction upstream: +" in done.output
+        record = json.loads((tmp_path / more[0].rsplit("/")[-1] / "line.json").read_text())
+        assert len(record["failed_checks"]["bend-125-90-0.3-cells-8"]) == 2
 
 
 @pytest.mark.thorough
@@ -228,10 +283,8 @@ def test_the_command_adds_up_a_line(tmp_path):
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():
-    from warpcrete.studies.lines import _distance
-
-    a, b = np.zeros(3), np.array([1.0, 0, 0])
-    assert _distance(a, b, np.array([0.5, -1, 2]), np.array([0.5, 1, 2])) == pytest.approx(2)
-    assert _distance(a, b, np.array([2.0, 0, 0]), np.array([3.0, 0, 0])) == pytest.approx(1)
-    assert _distance(a, b, np.array([2.0, 1, 0]), np.array([2.0, 5, 0])) == pytest.approx(math.sqrt(2))
-    assert _distance(a, b, np.array([0.2, 3, 0]), np.array([0.8, 3, 0])) == pytest.approx(3)
+    one = np.array([[0.0, 0, 0], [1, 0, 0]])
+    others = [[[0.5, -1, 2], [0.5, 1, 2]], [[2, 0, 0], [3, 0, 0]], [[2, 1, 0], [2, 5, 0]], [[0.2, 3, 0], [0.8, 3, 0]],
+              [[-1, -1, 0], [2, 2, 0]], [[0.9, 2, 0], [0.1, 0.5, 0]]]  # fmt: skip
+    found = distances(one, np.array(others, float))
+    assert found == pytest.approx([2, 1, math.sqrt(2), 3, 0, 0.5], abs=1e-12)

@@ -171,6 +171,8 @@ def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
     arc = scene.axis.pieces[1].length
     assert scene.taper == pytest.approx((0.8 + arc, 1.0 + arc, 0.04)) and scene.axis.length == pytest.approx(1.4 + arc)
     assert scene.middle == pytest.approx((0.4, 1.0 + arc))
+    # The shortest straight that is taken is taken as it is, not less a rounding error.
+    assert scenes.part(unit="vertical", outlet_diameter=0.1, straight=0.14, taper=0.1).taper[0] == 0.14
     assert scene.bore(np.array([0.5, 0.9 + arc, 1.2 + arc])) == pytest.approx([0.05, 0.045, 0.04])
     with pytest.raises(SceneError, match=r"^taper = .*: may not lie in the bend; put it before or behind$"):
         dataclasses.replace(scene, taper=(0.5, 0.7, 0.04))

@@ -146,7 +146,7 @@ def deepest(scene):
     law = scene.contact
     if not isinstance(law, BinghamMortar):
         return 0.0
-    radius = 0.5 * float(np.max(scene.bodies[0].sizes))
+    radius = 0.5 * float(np.max(scene.bodies[0].sizes, initial=0.0))
     count = len(scene.bodies[0].positions)
     pull, volume = law.tension * law.yield_stress, np.pi * radius**2 * law.shell_fraction * 2 * radius
     return (count * (count - 1) / 2 + count * len(scene.walls)) * pull**2 * volume / (2 * law.shell_modulus)

@@ -1,5 +1,6 @@
 """Runs as Python has them: read back from a folder, quantities by name, tables, plots, the viewer."""
 
+import json
 import shutil
 import sys
 
@@ -50,9 +51,10 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     assert back.series["pressure"] == pytest.approx(ran.series["pressure"][:2], rel=1e-8, nan_ok=True)
     (cut / "series.csv").write_text("")
     assert warpcrete.load(cut).series == {}
-    (cut / "series.csv").write_text("time [s],pressure [Pa]\n1,two\n")
-    with pytest.raises(RunFolderError, match=r"series\.csv': is no series of a run"):
-        warpcrete.load(cut)
+    for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
+        (cut / "series.csv").write_bytes(text)
+        with pytest.raises(RunFolderError, match=r"series\.csv': is no series of a run"):
+            warpcrete.load(cut)
 
 
 def test_what_is_no_run_folder_is_refused(ran, tmp_path):
@@ -62,8 +64,27 @@ def test_what_is_no_run_folder_is_refused(ran, tmp_path):
         warpcrete.load(tmp_path)
     study = tmp_path / "study"
     shutil.copytree(ran.folder, study / "001")
-    with pytest.raises(RunFolderError, match=r"holds no scene\.json\); the runs of a study are in 001"):
+    with pytest.raises(RunFolderError, match=r"holds no scene\.json\); runs are in 001"):
         warpcrete.load(study)
+    (study / "parts").mkdir()
+    (study / "001").rename(study / "parts" / "bend")
+    with pytest.raises(RunFolderError, match=r"runs are in parts/bend"):
+        warpcrete.load(study)
+
+
+def test_a_run_whose_scene_cannot_be_made_again_comes_back(ran, tmp_path):
+    """As one whose mesh file has gone."""
+    moved = tmp_path / "moved"
+    shutil.copytree(ran.folder, moved)
+    record = json.loads((moved / "scene.json").read_text())
+    record["parameters"]["spacing"] = 5.0
+    (moved / "scene.json").write_text(json.dumps(record))
+    back = warpcrete.load(moved)
+    assert back["pressure"] == ran["pressure"] and back.scene.name == "channel" and "channel" in repr(back)
+    record["scene"] = ["channel"]
+    (moved / "scene.json").write_text(json.dumps(record))
+    with pytest.raises(RunFolderError, match="names no scene of this version"):
+        warpcrete.load(moved)
 
 
 def test_a_series_is_a_table(ran, monkeypatch):

@@ -171,6 +171,10 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "fitted to 4 points: --slip-viscosity 640 --slip-yield 75;" in done.output
     assert done.output.count("\npipe ") == 4
 
+    own = ["--concrete", "own", "--density", "2354", "--viscosity", "397", "--yield-stress", "190"]
+    bulk = CliRunner().invoke(cli, ["theory", *own, *pipe, "--fit", str(points)])
+    assert "--slip-viscosity 640 --slip-yield 75;" in bulk.output  # no. 1 without its layer
+
     def refused(text):
         points.write_text(text)
         return str(CliRunner().invoke(cli, given).exception)
@@ -179,6 +183,10 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "points.csv, line 3: pressure = 'bar': must be a number" in refused("flow [m3/h],pressure [bar]\n1,2\n2\n")
     assert "needs two or more different flows" in refused("flow [m3/h],pressure [bar]\n1,2\n")
     assert "line 2: flow = '1 m3/hr': must be a number" in refused("flow [m3/hr],pressure [bar]\n1,2\n2,3\n")
+    assert "line 3: flow = 0.0: must be a finite number above 0 m3/s; leave points at rest out" in refused(
+        "flow [m3/h],pressure [bar]\n20,2\n0,0\n"
+    )
+    assert "line 4: pressure = 'x bar': must be a number" in refused("flow [m3/h],pressure [bar]\n\n1,2\n2,x\n")
     assert "which none has; look at length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
     points.unlink()
     assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)

@@ -13,11 +13,12 @@ from ..mps.mixes import concrete_of
 from ..studies.line_result import lines_of
 from ..studies.line_run import run_line
 from ..studies.lines import read_line
+from .run import CHECK_FAILED
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int,
-    out: Path | None, device: str | None, threads: int | None, quiet: bool,
+    out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -31,7 +32,7 @@ def run(
     progress = ProgressBar()
     try:
         found = run_line(
-            given, chosen, rate, out=out or (None if theory else next_folder("line")), simulate=not theory,
+            given, chosen, rate, out=out or (None if theory else next_folder("line")), known=known, simulate=not theory,
             cells=cells, layer_factor=layer_factor, device=device, threads=threads,
             progress=None if quiet else progress,
         )  # fmt: skip
@@ -40,3 +41,5 @@ def run(
     click.echo("\n" + "\n".join(lines_of(found)))
     if found.folder is not None:
         click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
+    if found.failed:
+        raise SystemExit(CHECK_FAILED)

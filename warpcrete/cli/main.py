@@ -318,8 +318,8 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
 LINE_HELP = """Pressure that a line of pipes needs: `warpcrete line LINE.yaml [options]`.
 
 The file lists the parts in order. Each kind of part is simulated once, as a flow, straight pipe by the metre; the
-folder holds line.md, line.json, line.png (pressure along the line, theory beside it) and the runs, which the next line
-with that --out finds again. burj-khalifa and shanghai-tower are shipped.
+folder holds line.md, line.json, line.png (pressure along the line, theory beside it) and the runs, which another line
+takes with --known. burj-khalifa and shanghai-tower are shipped.
 
 \b
   diameter: 125 mm
@@ -329,12 +329,13 @@ with that --out finds again. burj-khalifa and shanghai-tower are shipped.
   begin: level                  # up, down
   parts:
     - straight: 10 m
-    - bend: {to: up, radius: 0.5 m}               # angle: 90; to: up, down, left, right, level, back
+    - bend: {to: up, radius: 0.5 m}               # to: up, down, left, right, level, back; angle: 45 goes part of
+                                                  # the way there
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
     - straight: 5 m
 
-Amounts without a unit are in m, m3/s, Pa and degrees.
+Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check of a part failed.
 """
 
 
@@ -346,8 +347,9 @@ Amounts without a unit are in m, m3/s, Pa and degrees.
 @click.option("--layer-factor", type=float, default=2.0, show_default=True, help="by which the slip layer's constants "
               "may be off, for the band; 1 where they were measured")  # fmt: skip
 @click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
-@click.option("--out", type=click.Path(path_type=Path), help="folder, new or of an earlier line "
-              "[default: runs/line-NNN]")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
+@click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "
+              "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
 @click.option("--quiet", is_flag=True, help="no progress bar")

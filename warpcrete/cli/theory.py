@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from ..core.amounts import amount
-from ..core.errors import SceneError, refuse
+from ..core.errors import SceneError, positive, refuse
 from ..core.parameters import Field, declared_fields, resolved
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
@@ -36,7 +36,10 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     for name, field in known.items():
         field.check(values[name], name)
     thickness = values["slip_thickness"]
-    concrete = concrete_of(values["concrete"], **{name: values[name] for name in CONSTANTS})
+    constants = {name: values[name] for name in CONSTANTS}
+    if fit is not None:  # what is looked for need not be given
+        constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
+    concrete = concrete_of(values["concrete"], **constants)
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
     if fit is not None:
         measured = read_points(fit)
@@ -67,10 +70,10 @@ def read_points(path: Path) -> tuple[list[float], list[float]]:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError) as error:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         refuse("fit", str(path), f"cannot be read ({error})", "give a CSV file")
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[(.+)\])?\s*", head) for head in (rows[0] if rows else [])]
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in (rows[0] if rows else [])]
     places = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
     found = []
     for name, unit in (("flow", "m3/s"), ("pressure", "Pa")):
@@ -79,7 +82,9 @@ def read_points(path: Path) -> tuple[list[float], list[float]]:
                 "fit", str(path), f"has no column {name!r}", "its first line must be as 'flow [m3/h],pressure [bar]'"
             )
         place, own = places[name]
-        column = [row[place] if place < len(row) else "" for row in rows[1:]]
-        found.append([amount(f"{path.name}, line {k}: {name}", f"{text.strip()} {own}".strip(), unit)
-                      for k, text in enumerate(column, 2)])  # fmt: skip
+        column = {k: row[place] if place < len(row) else "" for k, row in enumerate(rows[1:], 2) if row}
+        fields = {k: f"{path.name}, line {k}: {name}" for k in column}
+        found.append([amount(fields[k], f"{text.strip()} {own}".strip(), unit) for k, text in column.items()])
+        for field, value in zip(fields.values(), found[-1], strict=True):
+            positive(field, value, unit, "leave points at rest out")
     return found[0], found[1]

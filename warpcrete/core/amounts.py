@@ -6,7 +6,12 @@ import math
 import re
 from typing import Any
 
+import numpy as np
+
 from .errors import refuse
+
+LARGEST = 1e300
+"""Beyond any amount."""
 
 UNITS = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048},
@@ -29,6 +34,7 @@ def amount(field: str, given: Any, unit: str) -> float:
         if found is None or (found[2] and found[2] not in known):
             refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
         return float(found[1]) * known[found[2] or unit]
-    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
+    numbers = int | float | np.integer | np.floating
+    if isinstance(given, bool) or not isinstance(given, numbers) or not abs(given) < LARGEST:
         refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
     return float(given)

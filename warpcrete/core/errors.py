@@ -76,7 +76,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 def one_of(field: str, value: Any, choices: Any) -> None:
     """Refuse anything but one of `choices`."""
-    if value not in choices:
+    if value not in list(choices):  # what cannot be hashed is refused, too
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}")
 
 

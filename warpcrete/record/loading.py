@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from ..core.errors import RunFolderError
+from ..core.errors import RunFolderError, SceneError
 from ..core.files import read_json
 from ..core.parameters import declared_fields
 from ..core.run import Run
@@ -19,17 +20,24 @@ def load(folder: Path | str) -> Run:
     """The run in a folder, as far as it got: scene, series, quantities.
 
     What only a simulation holds, as bodies at the end, is not there. A run that was killed has no result, and one
-    without rows no series. Raises :class:`RunFolderError` for anything that is no run folder of this version.
+    without rows no series; of a scene that can no more be made, as its mesh file has gone, only name and parameters are
+    there. Raises :class:`RunFolderError` for anything that is no run folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
-        studies = sorted(path.parent.name for path in folder.glob("*/scene.json"))
+        studies = sorted(
+            str(path.parent.relative_to(folder))
+            for path in [*folder.glob("*/scene.json"), *folder.glob("parts/*/scene.json")]
+        )
         raise RunFolderError(
             f"'{folder}': " + ("is no folder" if not folder.is_dir() else "is no run folder (it holds no scene.json)")
-            + (f"; the runs of a study are in {', '.join(studies[:3])} ..." if studies else "")
+            + (f"; runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
     record, module = saved_scene(folder / "scene.json", modules())
-    scene = module.scene(**record["parameters"])
+    try:
+        scene = module.scene(**record["parameters"])
+    except SceneError:
+        scene = SimpleNamespace(name=record["scene"], parameters=record["parameters"])
     path = folder / "result.json"
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")
@@ -39,7 +47,7 @@ def load(folder: Path | str) -> Run:
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Contents of a scene.json, and the module of its scene."""
     record = read_json(path)
-    if record.get("scene") not in known or not isinstance(record.get("parameters"), dict):
+    if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
     module = known[record["scene"]]
     unknown = sorted(set(module.scene.resolved(record["parameters"])) - set(declared_fields(module.scene.parameters)))
@@ -52,15 +60,16 @@ def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Columns and their units; a row that a killed run did not write to its end is left out."""
     if not path.is_file():
         return {}, {}
-    with path.open(newline="") as file:
-        text = file.read()
-    lines = list(csv.reader(text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]))
-    if not lines:
-        return {}, {}
     try:
+        text = path.read_text()
+        lines = list(csv.reader(text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]))
+        if not lines:
+            return {}, {}
+        if any(len(line) != len(lines[0]) for line in lines):
+            raise ValueError("rows of different lengths")
         named = [head.removesuffix("]").rsplit(" [", 1) for head in lines[0]]
         rows = np.array(lines[1:], dtype=float).reshape(-1, len(named))
         units = {name: unit for name, unit in named}
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise RunFolderError(f"'{path}': is no series of a run ({error})") from None
     return {name: rows[:, place] for place, name in enumerate(units)}, units

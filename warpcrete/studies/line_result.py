@@ -41,24 +41,22 @@ class LineResult:
     simulated: bool
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each simulation [s]."""
+    """Wall time of each simulation that was run [s], by its folder's name."""
+    failed: dict[str, list[str]] = field(default_factory=dict)
+    """Checks that simulations failed, and what they found, likewise."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
 
-    def added(self, of: Callable[[Loss], float]) -> float:
-        """Sum over the parts."""
-        return float(sum(of(loss) for loss in self.losses))
-
     @property
     def pressure(self) -> float:
         """At the start of the line [Pa]."""
-        return self.added(lambda loss: loss.friction + loss.weight)
+        return float(self.course(lambda loss: loss.friction + loss.weight)[1][0])
 
     @property
     def theory(self) -> float:
         """The same by the closed form, bends and reducers as straight pipe [Pa]."""
-        return self.added(lambda loss: loss.theory + loss.weight)
+        return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     @property
     def power(self) -> float:
@@ -70,7 +68,7 @@ class LineResult:
 
         Friction changes as the closed form does.
         """
-        low, high = (self.added(of) for of in self.ends())
+        low, high = (float(self.course(of)[1][0]) for of in self.ends())
         return low, high
 
     def ends(self) -> list[Callable[[Loss], float]]:
@@ -79,10 +77,26 @@ class LineResult:
         return [lambda x, c=c: x.friction * x.part.friction(c, self.flow) / x.theory + x.weight for c in others]
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses."""
+        """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses.
+
+        It never falls below 0: concrete that runs down faster than it is pumped parts, and pulls at nothing.
+        """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
-        lost = np.array([of(loss) for loss in self.losses])
-        return places, np.concatenate([np.cumsum(lost[::-1])[::-1], [0.0]])
+        found = [0.0]
+        for loss in reversed(self.losses):
+            found.append(max(found[-1] + of(loss), 0.0))
+        return places, np.array(found[::-1])
+
+    def remarks(self) -> list[str]:
+        """What a reader should know: of the line, of checks that failed, and where the concrete parts."""
+        found = self.line.remarks()
+        found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
+        course = self.course(lambda loss: loss.friction + loss.weight)[1]
+        for number, loss in enumerate(self.losses):
+            if course[number + 1] + loss.friction + loss.weight < 0:
+                found.append(f"concrete runs down part {loss.part.number} faster than it is pumped, and parts there: "
+                             "the pressure before it counts from 0")  # fmt: skip
+        return found
 
     def record(self) -> dict[str, Any]:
         """As line.json has it."""
@@ -102,7 +116,8 @@ class LineResult:
             "power": quantity(self.power, "W"),
             "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
             "simulated": self.simulated,
-            "remarks": self.line.remarks(),
+            "remarks": self.remarks(),
+            "failed_checks": self.failed,
             "parts": [
                 {"number": x.part.number, "kind": x.part.kind, "what": x.part.label,
                  "diameter": quantity(x.part.diameter, "m"), "length": quantity(x.part.length, "m"),
@@ -128,7 +143,7 @@ def lines_of(result: LineResult) -> list[str]:
     ]
     if result.line.recorded is not None:
         found.append(f"- recorded {_bar(result.line.recorded)} ({result.line.source})")
-    found += [f"- {remark}" for remark in result.line.remarks()]
+    found += [f"- {remark}" for remark in result.remarks()]
     found += ["", "| part | | diameter [mm] | length [m] | rise [m] | friction [kPa] | theory [kPa] | weight [kPa] |",
               "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for x in result.losses:

@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import between, positive
+from ..core.errors import between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.run_loop import Recorder
 from ..core.units import number
 from ..methods import Simulation
 from ..mps.mixes import CONSTANTS
 from ..mps.theory import Concrete
+from ..record.checks import CheckRecorder, failed_checks
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from .line_result import LineResult, Loss, draw, lines_of
@@ -29,7 +31,6 @@ LAYER_FACTOR = 2.0
 """By which a slip layer that was not measured may be off, either way."""
 AHEAD = 2.5
 """Diameters of straight pipe before and behind a bend or reducer that is simulated."""
-RECORD = "line.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -39,6 +40,7 @@ def run_line(
     flow: float,
     *,
     out: Path | None = None,
+    known: Path | None = None,
     simulate: bool = True,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
@@ -50,14 +52,16 @@ def run_line(
 
     Each kind of part is simulated once, without weight, `cells` across its bore: straight pipe as an endless one, bends
     and reducers between straight stretches, of which they get what the part loses beyond them; without `simulate` the
-    closed form stands for all. Runs go into the folder `out`, where they are found again: a folder of an earlier
-    line is gone on with. Raises :class:`SceneError` for a flow or settings that make no scene.
+    closed form stands for all. Runs go into the new folder `out`; of the same scene, those in `known`, the folder of an
+    earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or settings that make no scene.
     """
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
     between("cells", cells, 8, math.inf)
-    if out is not None and not (out / RECORD).is_file() and not (out / "parts").is_dir():
+    if out is not None:
         check_new(out)
+    if known is not None and not (known / "parts").is_dir():
+        refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
     tell = progress or (lambda phase, fraction, figures: None)
     kinds = {part.alike: part for part in line.parts} if simulate else {}
     cases = {key: _case(part, concrete, flow, cells) for key, part in kinds.items()}
@@ -65,29 +69,31 @@ def run_line(
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
     found: dict[tuple[Any, ...], float] = {}
     took: dict[str, float] = {}
+    failed: dict[str, list[str]] = {}
     for place, (key, part) in enumerate(kinds.items()):
 
         def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
-        folder = out / "parts" / _folder_name(part, cells) if out is not None else None
-        result = _known(folder, scenes[key])
+        called = _folder_name(part, cells)
+        result = None if known is None else _known(known / "parts", scenes[key])
         if result is None:
-            recorders = [] if folder is None else [TableRecorder(_free(folder))]
+            recorders: list[Recorder] = [] if out is None else [TableRecorder(_free(out / "parts" / called))]
+            recorders.append(CheckRecorder(modules()[cases[key][0]].check))
             run = Simulation(scenes[key], device=device, threads=threads, recorders=recorders, progress=hear).run()
             if not run.finished:
                 raise KeyboardInterrupt
             result = run.result
-        took[part.label if part.kind != "straight" else f"straight of {1e3 * part.diameter:g} mm"] = number(
-            result["speed"]["wall_time"]
-        )
+            took[called] = number(result["speed"]["wall_time"])
+        if bad := failed_checks(result):
+            failed[called] = [f"{name}: {result['checks'][name]['found']}" for name in bad]
         found[key] = _lost(part, result)
     losses = []
     for part in line.parts:
         theory = part.friction(concrete, flow)
         ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took)
+    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed)
     if out is not None:
         _write(result, out)
     return result
@@ -98,7 +104,9 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
     if part.kind == "straight":
-        return "tube", {**own, "ends": "periodic", "spacing": part.diameter / TUBE_CELLS}
+        spacing = part.diameter / TUBE_CELLS
+        step = min(5e-4, 0.4 * spacing / (flow / (math.pi * part.diameter**2 / 4)))
+        return "tube", {**own, "ends": "periodic", "spacing": spacing, "time_step": step}
     narrow, wide = min(part.diameter, part.outlet), max(part.diameter, part.outlet)
     spacing = narrow / cells
     fastest = flow / (math.pi * narrow**2 / 4)
@@ -122,11 +130,9 @@ def _folder_name(part: Part, cells: int) -> str:
     return f"{part.kind}-{1e3 * part.diameter:g}-{shape}-cells-{cells}"
 
 
-def _known(folder: Path | None, scene: Any) -> dict[str, Any] | None:
-    """result.json of a finished run of that very scene in a folder."""
-    if folder is None:
-        return None
-    for here in sorted(folder.parent.glob(f"{folder.name}*")):
+def _known(folder: Path, scene: Any) -> dict[str, Any] | None:
+    """result.json of a finished run of that very scene in a folder of runs."""
+    for here in sorted(folder.iterdir()):
         record, result = here / "scene.json", here / "result.json"
         if record.is_file() and result.is_file():
             same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
@@ -137,7 +143,7 @@ def _known(folder: Path | None, scene: Any) -> dict[str, Any] | None:
 
 
 def _free(folder: Path) -> Path:
-    """The folder, or one with a number behind, so that a cut run, or one of another flow, stays where it is."""
+    """The folder, or one with a number behind where two kinds of part round to the same name."""
     count, free = 1, folder
     while free.exists():
         count += 1
@@ -147,7 +153,7 @@ def _free(folder: Path) -> Path:
 
 def _write(result: LineResult, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / RECORD, result.record())
+    write_json(out / "line.json", result.record())
     (out / "line.md").write_text("\n".join(lines_of(result)) + "\n")
     with whole_file(out / "line.png") as partial:
         draw(result).savefig(partial, dpi=150, format="png")

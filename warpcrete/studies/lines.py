@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.amounts import amount
-from ..core.concretes import read_yaml
+from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from ..geometry.axis import Arc, Axis, Line
 from ..mps.theory import Concrete, steady
@@ -32,6 +32,8 @@ SHARPEST = 135.0
 BLOCKING = 3.0
 """Diameters over largest stones below which a pipe is known to block (ACI 304.2R asks for 3 of crushed stone)."""
 UP = np.array([0.0, 0.0, 1.0])
+HALF_TURN = 0.51 * math.pi
+"""Way along a line over the pipe's diameter within which it is near itself, however it bends."""
 FINE = 200
 """Places at which a taper's friction is summed."""
 
@@ -131,7 +133,10 @@ def read_line(name: Path | str) -> PipeLine:
     path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
     if not path.is_file():
         refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")
-    return line_of(read_yaml(path, "line"), path.stem)
+    given = dict(read_yaml(path, "line"))
+    if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
+        given["concrete"] = str(path.parent / given["concrete"])
+    return line_of(given, path.stem)
 
 
 def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
@@ -139,6 +144,8 @@ def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
     `diameter` that the first has, and which way it begins; and, where they are known, `flow`, `concrete`,
     `largest_stone`, `source`, `recorded`.
     """
+    if not isinstance(given, Mapping):
+        refuse("line", given, "must be 'key: value' lines, or a mapping of such")
     for key in given:
         one_of("line's key", key, KEYS)
     entries = given.get("parts")
@@ -223,10 +230,8 @@ class _Course:
         return Part(number, "straight", self.diameter, length, rise, self.diameter), Line(length)
 
     def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Arc]:
-        angle, radius = get("angle", "degrees", 90.0), get("radius", "m")
+        radius = get("radius", "m")
         field = f"part {number}, bend"
-        if not 1 <= angle <= SHARPEST:
-            refuse(f"{field}: angle", angle, f"must be in [1, {SHARPEST:g}] degrees", "make two bends of it")
         if radius <= self.diameter / 2:
             refuse(f"{field}: radius", radius, f"must exceed the pipe's, {self.diameter / 2:g} m")
         way = said.get("to")
@@ -239,6 +244,13 @@ class _Course:
             refuse(
                 f"{field}: to", way, "is where the line goes already, or came from", f"take one of {', '.join(WAYS)}"
             )
+        whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
+        angle = get("angle", "degrees", round(whole, 9))
+        if not 1 <= angle <= SHARPEST:
+            refuse(f"{field}: angle", angle, f"must be in [1, {SHARPEST:g}] degrees", "make two bends of it")
+        if way in ("up", "down", "level") and angle > whole + 1e-6:
+            refuse(f"{field}: angle", angle, f"goes beyond {way!r}, {whole:.4g} degrees from where the line goes",
+                   "leave the angle out")  # fmt: skip
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
@@ -266,34 +278,41 @@ class _Course:
 
 def _check_crossing(line: PipeLine) -> None:
     """Refuse a line that meets itself."""
-    begin, pieces = 0.0, []
+    begin = 0.0
+    rows: list[tuple[int, float, float, float]] = []
+    edges = []
     for part in line.parts:
-        count = 9 if part.kind == "bend" else 2
-        s = np.linspace(begin, begin + part.length, count)
+        s = np.linspace(begin, begin + part.length, 9 if part.kind == "bend" else 2)
         points, _ = line.axis.at(s)
         wide = max(part.diameter, part.outlet)
-        pieces += [(part.number, s[k], s[k + 1], points[k], points[k + 1], wide) for k in range(count - 1)]
+        rows += [(part.number, s[k], s[k + 1], wide) for k in range(len(s) - 1)]
+        edges += [points[k : k + 2] for k in range(len(s) - 1)]
         begin += part.length
-    for place, (first, _, end, a, b, wide) in enumerate(pieces):
-        for second, start, _, c, d, other in pieces[place + 1 :]:
-            apart = 0.5 * (wide + other)
-            # What follows at once touches where they join.
-            if start - end > 3 * apart and _distance(a, b, c, d) < apart:
-                refuse("parts", [first, second], "meet: the line crosses itself there", "lead it another way")
+    number, start, end, wide = np.array(rows).T
+    ends = np.array(edges)
+    for k in range(len(rows)):
+        later = np.arange(k + 1, len(rows))
+        apart = 0.5 * (wide[k] + wide[later])
+        # What follows along the tightest bend, of half a diameter, is nearer than a diameter for half a turn.
+        far = start[later] - end[k] > HALF_TURN * apart
+        near = later[far][distances(ends[k], ends[later[far]]) < apart[far]]
+        if len(near):
+            refuse("parts", [int(number[k]), int(number[near[0]])], "meet: the line crosses itself there",
+                   "lead it another way")  # fmt: skip
 
 
-def _distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> float:
-    """Least distance of two segments [m] (Ericson 2005, 5.1.9)."""
-    one, other, between = b - a, d - c, a - c
-    e, f, g = one @ one, other @ other, other @ between
-    h, i = one @ between, one @ other
-    determinant = e * f - i * i
-    s = np.clip((i * g - h * f) / determinant, 0, 1) if determinant > 1e-12 * e * f else 0.0
-    t = (i * s + g) / f
-    if not 0 <= t <= 1:
-        t = np.clip(t, 0, 1)
-        s = np.clip((i * t - h) / e, 0, 1)
-    return float(np.linalg.norm(a + s * one - c - t * other))
+def distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Least distances [m] of a segment (2, 3) from each of others (n, 2, 3) (Ericson 2005, 5.1.9)."""
+    first, second, between = one[1] - one[0], others[:, 1] - others[:, 0], one[0] - others[:, 0]
+    a, e, f = first @ first, np.sum(second**2, 1), np.sum(second * between, 1)
+    b, c = second @ first, between @ first
+    determinant = a * e - b * b
+    skew = determinant > 1e-12 * a * e
+    s = np.where(skew, np.clip((b * f - c * e) / np.where(skew, determinant, 1.0), 0, 1), 0.0)
+    t = (b * s + f) / e
+    s = np.where((t < 0) | (t > 1), np.clip((b * np.clip(t, 0, 1) - c) / a, 0, 1), s)
+    gap = one[0] + s[:, None] * first - others[:, 0] - np.clip(t, 0, 1)[:, None] * second
+    return np.linalg.norm(gap, axis=1)
 
 
 def layered(concrete: Concrete, factor: float) -> Concrete:
