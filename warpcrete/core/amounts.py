@@ -10,9 +10,7 @@ import numpy as np
 
 from .errors import refuse
 
-LARGEST = 1e300
-"""Beyond any amount."""
-
+NUMBERS = (int, float, np.integer, np.floating)
 UNITS = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048},
     "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "l/s": 1e-3, "L/s": 1e-3, "l/min": 1e-3 / 60,
@@ -30,11 +28,14 @@ def amount(field: str, given: Any, unit: str) -> float:
     """
     known = UNITS[unit]
     if isinstance(given, str):
-        found = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*", given)
-        if found is None or (found[2] and found[2] not in known):
+        text = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*", given)
+        if text is None or (text[2] and text[2] not in known):
             refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
-        return float(found[1]) * known[found[2] or unit]
-    numbers = int | float | np.integer | np.floating
-    if isinstance(given, bool) or not isinstance(given, numbers) or not abs(given) < LARGEST:
+        return float(text[1]) * known[text[2] or unit]
+    try:
+        found = float(given) if isinstance(given, NUMBERS) and not isinstance(given, bool) else math.nan
+    except OverflowError:
+        found = math.inf
+    if not math.isfinite(found):
         refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
-    return float(given)
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 import uuid
 import warnings
 from pathlib import Path
@@ -15,7 +16,7 @@ from ..core.files import cannot_write
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 
-FLUSH_TIME = 10.0  # [s] that a live viewer gets to take the rest
+FLUSH_TIME = 10.0  # [s] that a viewer, or the writer of a file that does not grow, gets to take the rest
 LINE = 4e-4  # radius of the network's lines [m]
 
 
@@ -186,14 +187,23 @@ class RerunRecorder(Recorder):
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def _flush(self) -> None:
-        try:
-            self._recording.flush(timeout_sec=FLUSH_TIME if self.live else 1e9)
-        except (RuntimeError, ValueError) as error:
-            if not self.live:
-                raise self._trouble(error) from error
-            # A viewer that is not there must not hold up the run; the file has everything.
-            warnings.warn(f"the Rerun viewer did not take the whole recording: {error}", stacklevel=2)
-            self.live = False
+        size = -1
+        while True:
+            begun = time.monotonic()
+            try:
+                self._recording.flush(timeout_sec=FLUSH_TIME)
+                return
+            except (RuntimeError, ValueError) as error:
+                if self.live:
+                    trouble = error
+                    break
+                # A writer that met a full disk may never answer; one that is slow lets its file grow.
+                before, size = size, self._part(self._parts).stat().st_size
+                if time.monotonic() - begun < 0.9 * FLUSH_TIME or size == before:
+                    raise self._trouble(error) from error
+        # A viewer that is not there must not hold up the run; the file has everything.
+        warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
+        self.live = False
 
     def _sinks(self) -> list[Any]:
         rr = self._rr

@@ -101,7 +101,7 @@ class PartScene(PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
-            if length < wanted:
+            if length < wanted * (1 - 1e-9):  # lengths are differences
                 share = "" if end > begin else ", half of it,"
                 refuse("straight", length, f"is too short for a straight stretch{share} to be measured in [m]",
                        f"take {wanted:.3g} m or more")  # fmt: skip
