@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import subprocess
 import sys
+import threading
 import time
 import uuid
 import warnings
@@ -114,8 +116,10 @@ class RerunRecorder(Recorder):
             try:
                 self._later.close()
                 self._flush()
-            finally:
-                self._recording.disconnect()
+            except BaseException:
+                self._give_up()
+                raise
+            self._recording.disconnect()
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Make one file of the parts."""
@@ -204,6 +208,14 @@ class RerunRecorder(Recorder):
         # A viewer that is not there must not hold up the run; the file has everything.
         warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
         self.live = False
+
+    def _give_up(self) -> None:
+        """Close, but do not wait for a writer that never answers, here or when the program ends."""
+        closing = threading.Thread(target=self._recording.disconnect, daemon=True)
+        closing.start()
+        closing.join(FLUSH_TIME)
+        if closing.is_alive():
+            atexit.unregister(self._rr.rerun_shutdown)
 
     def _sinks(self) -> list[Any]:
         rr = self._rr
