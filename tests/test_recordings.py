@@ -1,5 +1,6 @@
 """What recordings and scenes hold, read back with the libraries that made them, against the state that was recorded."""
 
+import math
 import sys
 import threading
 import time
@@ -356,6 +357,47 @@ def contents(folder, run):
     for path in sorted(folder.glob("*.vtkhdf")):
         found |= {f"{path.stem} {name}": [str(array.tolist())] for name, array in everything(path).items()}
     return found
+
+
+class Unanswering:
+    """A stream whose writer takes its time, or died of a full disk; `path` grows by what it writes."""
+
+    def __init__(self, path, answers_after=math.inf):
+        self.path, self.left, self.closed = path, answers_after, threading.Event()
+
+    def flush(self, timeout_sec):
+        self.left -= 1
+        if self.left < 0:
+            return
+        time.sleep(timeout_sec)
+        if math.isfinite(self.left):
+            self.path.write_bytes(self.path.read_bytes() + b"more")
+        raise RuntimeError("Flush timed out")
+
+    def disconnect(self):
+        if not math.isfinite(self.left):
+            self.closed.wait(20)
+
+
+def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypatch):
+    """One line, and nothing that waits for it when the program ends; one that is slow is waited for."""
+    given_up = []
+    monkeypatch.setattr("warpcrete.record.rerun.FLUSH_TIME", 0.05)
+    monkeypatch.setattr("atexit.unregister", given_up.append)
+    path = tmp_path / "run.rrd"
+    path.write_bytes(b"begun")
+    for stream, dies in ((Unanswering(path), True), (Unanswering(path, 4), False)):
+        recorder = RerunRecorder(path)
+        recorder._recording, recorder._parts = stream, 0
+        if dies:
+            with pytest.raises(RunFolderError, match=r"run\.rrd': cannot be written \(Flush timed out\); .* is kept$"):
+                recorder.finish(None, None)
+            stream.closed.set()
+            assert [each.__name__ for each in given_up] == ["rerun_shutdown"]
+        else:
+            recorder.finish(None, None)
+            assert stream.left == -1 and len(given_up) == 1
+    assert path.read_bytes() == b"begun" + 4 * b"more"
 
 
 def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
