@@ -18,8 +18,8 @@ from warpcrete.dem.vessels import vessel_knobs
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall
 
-from . import slump_dem
 from .slump_dem import SlumpElements, lifted_cone
+from .slump_dem import check as check_of_slump
 
 SIDES = 12
 """Of a bar."""
@@ -76,7 +76,7 @@ def _bars(given: RingElements) -> MeshWall:
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a J-ring: name -> (passed, what was found)."""
-    return slump_dem.check(run)
+    return check_of_slump(run)
 
 
 def _knobs(given: RingElements) -> Iterator[Knob]:
