@@ -1,0 +1,189 @@
+"""Recorders beside the run: what they show of a moment that has passed, what holds them up, what ends them."""
+
+import math
+import threading
+import time
+
+import pytest
+from test_recordings import columns, everything, recording
+
+from warpcrete import RunFolderError, Simulation, scenes
+from warpcrete.core.later import MOST, Later
+from warpcrete.record.paraview import ParaViewRecorder
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
+
+SMALL = dict(diameter=0.08, length=0.1, ramp=0.0, travel=0.008, settle=0.0, size_min=8e-3, size_max=16e-3, plug="plate")
+PASTE = dict(concrete="own", density=2300.0, viscosity=20.0, yield_stress=100.0)
+DRAWN = {
+    "pipe": (lambda: scenes.pipe(shapes="reference", hydration=0.5, hydration_modulus=1e6, **SMALL), "speed", True),
+    "pipe, force": (lambda: scenes.pipe(**SMALL), "force", False),
+    "pipe, size": (lambda: scenes.pipe(**SMALL), "size", False),
+    "channel": (lambda: scenes.channel(spacing=2e-2, duration=0.01, sample_interval=2e-3), "pressure", False),
+    "grains": (lambda: scenes.channel(spacing=5e-3, duration=5e-3, sample_interval=1e-3, aggregates=True), "phase",
+               False),
+    "ring": (lambda: scenes.tube(ends="periodic", spacing=1e-2, duration=0.01, sample_interval=2e-3), "speed", False),
+    "slump": (lambda: scenes.slump(**PASTE, spacing=0.02, duration=0.05, sample_interval=0.01), "shear", False),
+    "funnel": (lambda: scenes.funnel(**PASTE, spacing=0.015, duration=0.02, sample_interval=5e-3), "speed", False),
+    "part": (lambda: scenes.modules()["part"].scene(concrete="no1", unit="bend-to-vertical", spacing=0.0125,
+                                                    duration=0.02, sample_interval=5e-3), "pressure", False),
+}  # fmt: skip
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypatch):
+    """Every display takes all that it draws of a moment: a recorder that lags shows the same."""
+    make, colouring, network = DRAWN[name]
+    found = []
+    for beside in (False, True):
+        recording(monkeypatch, beside)
+        folder = tmp_path / str(beside)
+        folder.mkdir()
+        recorders = [RerunRecorder(folder / "run.rrd", colouring=colouring, network=network),
+                     UsdRecorder(folder / "scene.usdc", colouring=colouring),
+                     ParaViewRecorder(folder, colouring=colouring)]  # fmt: skip
+        if beside:
+            for recorder in recorders:
+                lag(recorder, monkeypatch)
+        run = Simulation(make(), device=device, threads=1, recorders=recorders, frame_interval=1e-4).run()
+        found.append((run.result["state_hash"], contents(folder, run)))
+    assert found[0] == found[1]
+    assert len(next(iter(found[0][1].values()))) > 3
+
+
+def lag(recorder, monkeypatch):
+    """Let a recorder draw when the run is further on."""
+    draw = recorder._draw
+
+    def slowly(*moment):
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(0.02)
+        draw(*moment)
+
+    monkeypatch.setattr(recorder, "_draw", slowly)
+
+
+def contents(folder, run):
+    """All that recordings hold of bodies, walls, networks and curves, as text."""
+    from pxr import Usd
+    from rerun.chunk import RrdReader
+
+    entities = {str(c.entity_path) for c in RrdReader(str(folder / "run.rrd")).stream().to_chunks() if not c.is_static}
+    found = {}
+    for entity in sorted(entities):
+        if entity.startswith(("/scene", "/pressure", "/shape", "/slip", "/energy", "/friction")):
+            held = columns(folder / "run.rrd", entity)
+            found |= {f"{entity} {column}": [str(v) for v in values] for column, values in held.items()}
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    for prim in stage.Traverse():
+        for attribute in prim.GetAttributes():
+            codes = attribute.GetTimeSamples()
+            if codes:
+                found[str(attribute.GetPath())] = [(code, str(attribute.Get(code))) for code in codes]
+    for path in sorted(folder.glob("*.vtkhdf")):
+        found |= {f"{path.stem} {name}": [str(array.tolist())] for name, array in everything(path).items()}
+    return found
+
+
+class Unanswering:
+    """A stream whose writer takes its time, or died of a full disk; `path` grows by what it writes."""
+
+    def __init__(self, path, answers_after=math.inf):
+        self.path, self.left, self.closed = path, answers_after, threading.Event()
+
+    def flush(self, timeout_sec):
+        self.left -= 1
+        if self.left < 0:
+            return
+        time.sleep(timeout_sec)
+        if math.isfinite(self.left):
+            self.path.write_bytes(self.path.read_bytes() + b"more")
+        raise RuntimeError("Flush timed out")
+
+    def disconnect(self):
+        if not math.isfinite(self.left):
+            self.closed.wait(20)
+
+
+def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypatch):
+    """One line, and nothing that waits for it when the program ends; one that is slow is waited for."""
+    given_up = []
+    monkeypatch.setattr("warpcrete.record.rerun.FLUSH_TIME", 0.05)
+    monkeypatch.setattr("atexit.unregister", given_up.append)
+    path = tmp_path / "run.rrd"
+    path.write_bytes(b"begun")
+    for stream, dies in ((Unanswering(path), True), (Unanswering(path, 4), False)):
+        recorder = RerunRecorder(path)
+        recorder._recording, recorder._parts = stream, 0
+        if dies:
+            with pytest.raises(RunFolderError, match=r"run\.rrd': cannot be written \(Flush timed out\); .* is kept$"):
+                recorder.finish(None, None)
+            stream.closed.set()
+            assert [each.__name__ for each in given_up] == ["rerun_shutdown"]
+        else:
+            recorder.finish(None, None)
+            assert stream.left == -1 and len(given_up) == 1
+    assert path.read_bytes() == b"begun" + 4 * b"more"
+
+
+def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
+    done, go, waited = [], threading.Event(), threading.Event()
+    later = Later(beside=True)
+
+    def fill():
+        for number in range(MOST + 3):
+            later.do(lambda number=number: (go.wait(), done.append(number)))
+        waited.set()
+
+    run = threading.Thread(target=fill)
+    run.start()
+    assert not waited.wait(0.2) and not done  # one is at work, so many wait, and the run with the next
+    go.set()
+    run.join(5)
+    later.wait()
+    assert done == list(range(MOST + 3))
+    later.close()
+
+
+@pytest.mark.parametrize("end", ["do", "wait", "close"])
+def test_what_a_job_fails_with_is_raised_from_then_on(end):
+    """Who puts up with it once, as a checkpoint does, is told again, or a recording would end without a word."""
+    done = []
+
+    def fail():
+        raise OSError("no room")
+
+    later = Later(beside=True)
+    later.do(lambda: done.append(1))
+    later.do(fail)
+    with pytest.raises(OSError, match="no room"):
+        for _ in range(100):
+            getattr(later, end)(*([lambda: done.append(2)] if end == "do" else []))
+            time.sleep(0.05)
+    for call in (later.wait, lambda: later.do(lambda: done.append(3)), later.close):
+        with pytest.raises(OSError, match="no room"):
+            call()
+    assert done == [1]
+    with pytest.raises(OSError, match="no room"):
+        Later(beside=False).do(fail)
+
+
+def test_a_frame_that_cannot_be_drawn_ends_the_run_though_a_checkpoint_comes_first(tmp_path, monkeypatch):
+    recording(monkeypatch, True)
+    recorder, frames = UsdRecorder(tmp_path / "scene.usdc"), []
+
+    def draw(when, steps, draw=recorder._draw):
+        frames.append(when)
+        if len(frames) == 3:
+            raise OSError("no room")
+        draw(when, steps)
+
+    monkeypatch.setattr(recorder, "_draw", draw)
+    simulation = Simulation(
+        scenes.pipe(**SMALL | dict(travel=0.02)), device="cpu", recorders=[recorder], frame_interval=1e-4,
+        checkpoint_path=tmp_path / "checkpoint.npz", checkpoint_every=0.0,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="checkpoint"), pytest.raises(OSError, match="no room"):
+        simulation.run()
+    assert len(frames) == 3 and (tmp_path / "scene.usdc").is_file()
