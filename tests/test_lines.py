@@ -259,7 +259,7 @@ def test_a_line_put_together_is_the_line_as_a_whole(device):
     found = Simulation(whole, device=device).run().result
     off = number(found["upstream_gradient"]) / number(found["upstream_gradient_theory"]) - 1
     assert 0 < off < 0.02 and found["steady"]
-    assert number(found["pressure"]) / added.pressure - 1 == pytest.approx(off, abs=0.005)
+    assert number(found["pressure"]) / added.pressure - 1 == pytest.approx(off, abs=0.003)
 
 
 def test_the_command_adds_up_a_line(tmp_path):
@@ -280,6 +280,19 @@ def test_the_command_adds_up_a_line(tmp_path):
     taken = CliRunner().invoke(cli, ["line", str(path), "--flow", "20 m3/h", "--out", str(tmp_path / "else")])
     assert "else" in str(taken.exception)
     assert [p.name for p in (tmp_path / "else").iterdir()] == ["file"]
+
+
+def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
+    path, out = tmp_path / "site.yaml", tmp_path / "line"
+    path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
+
+    def cut(*given, **settings):
+        (out / "parts").mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warpcrete.cli.line.run_line", cut)
+    done = CliRunner().invoke(cli, ["line", str(path), "--out", str(out)])
+    assert done.exit_code == 130 and f"are taken by: warpcrete line {path} --known {out}" in done.output
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

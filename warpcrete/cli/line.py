@@ -13,7 +13,7 @@ from ..mps.mixes import concrete_of
 from ..studies.line_result import lines_of
 from ..studies.line_run import run_line
 from ..studies.lines import read_line
-from .run import CHECK_FAILED
+from .run import CHECK_FAILED, INTERRUPTED
 
 
 def run(
@@ -30,12 +30,17 @@ def run(
     assert rate is not None
     chosen = concrete_of(str(concrete or given.concrete))
     progress = ProgressBar()
+    folder = out or (None if theory else next_folder("line"))
     try:
         found = run_line(
-            given, chosen, rate, out=out or (None if theory else next_folder("line")), known=known, simulate=not theory,
+            given, chosen, rate, out=folder, known=known, simulate=not theory,
             cells=cells, layer_factor=layer_factor, device=device, threads=threads,
             progress=None if quiet else progress,
         )  # fmt: skip
+    except KeyboardInterrupt:
+        if folder is not None and (folder / "parts").is_dir():
+            click.echo(f"interrupted; parts that are finished are taken by: warpcrete line {line} --known {folder}")
+        raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
     click.echo("\n" + "\n".join(lines_of(found)))

@@ -24,7 +24,7 @@ from .lines import Part, PipeLine
 GRAVITY = 9.81
 """[m/s2]"""
 CELLS = 12
-"""Across a bore; 10 err by 1.5 % on a straight pipe's friction, as the table of what was measured has it."""
+"""Across a bore: straight stretches of parts of 125 mm err by -0.7 to 1.7 %, and by 1.6 % at 8."""
 TUBE_CELLS = 20
 """Across a straight pipe, which is the cheaper for being endless."""
 LAYER_FACTOR = 2.0
