@@ -265,6 +265,10 @@ def trade_command(arguments: tuple[str, ...]) -> None:
 @click.argument("paper", required=False)
 @click.option("--quick", is_flag=True, help="coarse spheres for clumps and fewer cases: minutes on a CPU")
 @click.option("--seeds", type=int, default=1, show_default=True, help="of each case of discrete elements")
+@click.option("--only", multiple=True, help="of zhan: one column ('stiff stones', 'yielding layer' ...) or row (units, "
+              "velocity ...); several times for several  [default: all]")  # fmt: skip
+@click.option("--known", multiple=True, type=click.Path(path_type=Path), help="folder of an earlier reproduction whose "
+              "results are taken")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/reproduce-PAPER-NNN]")
 @click.option("--resume", type=click.Path(path_type=Path), help="go on: finished runs are used")
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
