@@ -21,8 +21,8 @@ from warpcrete.mps.mixes import mortar_of
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.state import FluidState
-from warpcrete.mps.theory import CONCRETES
 from warpcrete.record.run_folder import TableRecorder
+from warpcrete.theory.pipe import CONCRETES
 
 
 @pytest.mark.parametrize("name", CONCRETES)

@@ -15,7 +15,7 @@ from ..core.errors import SceneError, positive, refuse
 from ..core.parameters import Field, declared_fields, resolved
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
-from ..mps.theory import Concrete, Line, slip_constants, steady, table
+from ..theory.pipe import Concrete, Line, slip_constants, steady, table
 
 LINE = ("length", "rise", "gravity")
 """Fields of a line that have the same name there and here; its radius is half of the diameter."""

@@ -14,9 +14,9 @@ from ..core.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
+from ..theory.pipe import MIXES, Concrete, Line, flow_of_pressure
 from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, file_constants, mortar_of
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
-from .theory import MIXES, Concrete, Line, flow_of_pressure
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.concretes import concrete, is_file, known_only, shipped
 from ..core.errors import between, one_of, refuse
-from .theory import THICKER_LAYERS, Concrete
+from ..theory.pipe import THICKER_LAYERS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Of a concrete, each of which may be given in place of a named one's."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.units import quantity
 from ..mps.mixes import CONSTANTS
-from ..mps.theory import Concrete
+from ..theory.pipe import Concrete
 from .lines import Part, PipeLine, layered
 
 

@@ -14,10 +14,10 @@ from ..core.run_loop import Recorder
 from ..core.units import number
 from ..methods import Simulation
 from ..mps.mixes import CONSTANTS
-from ..mps.theory import Concrete
 from ..record.checks import CheckRecorder, failed_checks
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
+from ..theory.pipe import Concrete
 from .line_result import LineResult, Loss, draw, lines_of
 from .lines import Part, PipeLine
 

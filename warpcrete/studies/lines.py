@@ -14,8 +14,8 @@ from ..core.amounts import amount
 from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from ..geometry.axis import Arc, Axis, Line
-from ..mps.theory import Concrete, steady
-from ..mps.theory import Line as Stretch
+from ..theory.pipe import Concrete, steady
+from ..theory.pipe import Line as Stretch
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
