@@ -15,7 +15,8 @@ from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, flow_of_pressure
-from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, file_constants, mortar_of
+from ..theory.suspension import SUSPENSIONS, mortar_of
+from .mixes import CONSTANTS, concrete_of, file_constants
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
 
 SHEARED: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Concretes by name, and the mortar that is left of one without its coarse aggregate."""
+"""Concretes by name, as flows take them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..core.concretes import concrete, is_file, known_only, shipped
-from ..core.errors import between, one_of, refuse
+from ..core.errors import one_of, refuse
 from ..theory.pipe import THICKER_LAYERS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Of a concrete, each of which may be given in place of a named one's."""
-SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
-"""Intrinsic viscosity and densest random packing of rigid inclusions: in three dimensions, and in two."""
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
@@ -69,25 +65,3 @@ def _flow_of(name: str) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float):
             refuse(f"concrete flow {key}", value, f"must be a number (in {name})")
     return known
-
-
-def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
-    """Mortar whose mix with a `fraction` of coarse aggregate of `density` gives `concrete`, by homogenisation.
-
-    Krieger & Dougherty for the viscosity, f = (1 - fraction / densest)^(-intrinsic densest), and Chateau, Ovarlez &
-    Trung (2008) for the yield stress, the root of (1 - fraction) f; `inclusions` names the constants in
-    :data:`SUSPENSIONS`. An assumption: the paper measured its mortars and does not print them.
-    """
-    one_of("inclusions", inclusions, SUSPENSIONS)
-    intrinsic, densest = SUSPENSIONS[inclusions]
-    between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "less than the densest packing")
-    factor = (1 - fraction / densest) ** (-intrinsic * densest)
-    rest = (concrete.density - fraction * density) / (1 - fraction)
-    return Concrete(
-        name=f"mortar of {concrete.name}",
-        density=rest,
-        viscosity=concrete.viscosity / factor,
-        yield_stress=concrete.yield_stress / np.sqrt((1 - fraction) * factor),
-        slip_viscosity=concrete.slip_viscosity,
-        slip_yield=concrete.slip_yield,
-    )
