@@ -16,7 +16,7 @@ from ..core.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, flow_of_pressure
 from ..theory.suspension import SUSPENSIONS, mortar_of
-from .mixes import CONSTANTS, concrete_of, file_constants
+from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
 
 SHEARED: dict[str, Any] = {
@@ -99,6 +99,11 @@ class AggregateParameters:
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
     """A column of concrete that a piston drives up a pipe."""
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A file's constants, and its mix's coarse aggregate."""
+        return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
         """The concrete's."""
