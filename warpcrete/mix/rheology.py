@@ -1,8 +1,8 @@
 """Yield stress and viscosity of a mix's concrete, mortar and slip layer: what is measured, and what follows from the
 rest by published relations.
 
-Bands are wide on purpose: rheometers of different make read the same concrete differently, yield stresses by a factor
-of two and more (Ferraris & Brower 2001), so what a relation found beside one of them is not surer than that.
+Rheometers of different make read the same concrete differently (Ferraris & Brower 2001; RILEM TC 266-MRP 2023), so what
+a relation found beside one of them is not surer than that.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..theory.inverse import (
     yield_of_heap,
     yield_of_long_heap,
     yield_of_slump,
-    yield_of_slump_roussel,
+    yield_of_slump_measured,
 )
 from ..theory.pipe import CONCRETES, Concrete, Line, measured_layer
 from ..theory.suspension import SUSPENSIONS, thickening
@@ -28,12 +28,12 @@ from .given import Given, Measured
 RHEOMETER = 0.2
 """Of constants that were given without an uncertainty."""
 TRIBOMETER = 0.15
-"""Likewise of a slip layer's: pressures follow from measured ones within 15 % (Le, Kadri & al. 2014)."""
+"""Likewise of a slip layer's: pressures follow from measured ones within 15 % (Mai et al. 2014)."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """By which slump [m], spread [m] and T500 [s] may be misread (EN 12350-2 and -8: repeatability of 16 to 42 mm)."""
 ROUGHEST, EASIEST = (3.25, 0.57), (2.5, 0.65)
 """Intrinsic viscosity and densest packing at the ends of the band: of rough grains (ground gypsum; Barnes, Hutton &
-Walters 1989) in the packing of equal balls (Mahaut & al. 2008), and of spheres of mixed sizes."""
+Walters 1989) in the packing of equal balls (Mahaut et al. 2008), and of spheres of mixed sizes."""
 SLOWER = 1.3
 """Factor by which T500's relation is off for lifts of 1 to 3 s and for inertia, measured."""
 UNKNOWN = (70.0, 20.0, 400.0)
@@ -60,9 +60,10 @@ def yield_stresses(given: Given) -> Iterator[Figure]:
         at = [given.slump + off for off in (READ_SLUMP, 0.0, -READ_SLUMP)]
         value = yield_of_slump(at[1], given.density)
         yield Figure("yield stress", value, yield_of_slump(at[0], given.density, 2.0),
-                     max(value, yield_of_slump(at[2], given.density), yield_of_slump_roussel(at[2], given.density)),
+                     yield_of_slump_measured(at[2], given.density),
                      "Pa", f"slump of {1e3 * given.slump:.4g} mm",
-                     "tall cone (Murata 1984, von Mises); lower end Tresca, upper Roussel 2006", "cone")  # fmt: skip
+                     "tall cone (Murata 1984, von Mises; lower end Tresca); upper end Ferraris & de Larrard 1998",
+                     "cone")  # fmt: skip
 
 
 def viscosities(given: Given) -> Iterator[Figure]:
@@ -111,8 +112,9 @@ def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
     if own.constants is not None:
         off = TRIBOMETER if own.constants.uncertainty is None else own.constants.uncertainty
         eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))
-        return (around("slip viscosity", eta, off, "Pa s/m", "layer", "as given"),
-                around("slip yield", tau, off, "Pa", "layer", "as given"))  # fmt: skip
+        source = "as given" + ("" if own.constants.uncertainty is not None else "; 15 % as Mai et al. 2014")
+        return (around("slip viscosity", eta, off, "Pa s/m", "layer", source),
+                around("slip yield", tau, off, "Pa", "layer", source))  # fmt: skip
     if own.pumped is not None:
         flows, pressures = own.pumped
         line = Line(radius=own.diameter / 2, length=own.length, rise=own.rise / own.length)
@@ -124,6 +126,7 @@ def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
         return _fitted_layer(straight_line(speeds, stresses), len(speeds), f"{len(speeds)} points of a tribometer")
     known = CONCRETES.values()
     eta = sum(each.slip_viscosity for each in known) / len(CONCRETES)
+    # What yields in the layer is the concrete without its stones: no later than the concrete.
     tau = min(sum(each.slip_yield for each in known) / len(CONCRETES), concrete.yield_stress)
     source = f"a guess, off by a factor of {LAYER_OFF:g} either way: measure it"
     return (
