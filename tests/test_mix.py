@@ -318,7 +318,8 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be given"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "needs two or more points"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}}, "mix slip viscosity = -50.0: is what the line"),
-        (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"}, "contradicts 19.3 (17 to 26.7) Pa by spread of 700 mm; leave out"),
+        (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},
+         "contradicts 19.3 (17 to 26.7) Pa by spread of 700 mm; leave out"),
     ],
 )  # fmt: skip
 def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section, says):
