@@ -12,7 +12,7 @@ from warpcrete.cli.main import cli
 from warpcrete.core.concretes import concrete
 from warpcrete.core.units import number
 from warpcrete.dem.concretes import COVERAGE
-from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.studies.line_run import run_line
 from warpcrete.studies.lines import line_of
@@ -171,6 +171,7 @@ def test_a_mix_of_the_literature_beside_what_it_published():
     """Xu, Li & Jiang 2021: pressure of their case 9.40 kPa, mortar 2190 kg/m3 (Table 4), all of no1's constants."""
     mix = read_mix("xu-no1")
     assert mix.concrete == Concrete(name="xu-no1", **concrete("no1").flow)
+    assert mix.given.share == 946 / 2630
     assert steady(mix.concrete, Line(), 1500e-6, "paper").pressure == pytest.approx(9400, rel=0.005)
     assert mix["mortar's density"].value == pytest.approx(2190, rel=0.005)
     low, high = (steady(each, Line(), 1500e-6, "paper").pressure for each in mix.band)
@@ -212,11 +213,11 @@ def test_every_scene_takes_it(tmp_path):
 
 
 def test_own_entries_go_before_the_mix_and_that_before_the_base(tmp_path):
-    path = written(
-        tmp_path, SPREADING | STONES, base="zhan", elements={"layer_viscosity": 700.0}, flow={"viscosity": 9}
-    )
+    own = {"elements": {"layer_viscosity": 700.0, "shapes": "shape-2"}, "flow": {"viscosity": 9}}
+    path = written(tmp_path, SPREADING | STONES, base="zhan", **own)
     kept = scenes.pipe(concrete=path).parameters
     assert (kept["layer_viscosity"], kept["sizes"]) == (700.0, "4:0,8:0.4,16:1")
+    assert kept["shapes"] == completed(str(path)).elements["shapes"] == "shape-2"
     assert kept["wall_friction"] == 0.0 and kept["friction"] == concrete("zhan").elements["friction"]
     assert scenes.tube(concrete=path).concrete.viscosity == 9
     child = tmp_path / "child.yaml"
