@@ -231,6 +231,7 @@ def test_the_command_prints_and_writes_a_concrete(tmp_path):
     done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(plain)])
     assert done.exit_code == 0, done.output
     mix = read_mix(path)
+    assert mix._repr_html_().count("<tr>") == len(mix.rows()) + 1 == len(mix.table().splitlines())
     row = next(line for line in done.output.splitlines() if line.startswith("yield stress"))
     stress = mix["yield stress"]
     assert f"{stress.value:.4g}" in row and f"{stress.low:.3g} to {stress.high:.3g}" in row and "Roussel" in row
@@ -286,6 +287,8 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
+        (["density"], "mix = ['density']: must be 'key: value' lines"),
+        (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"density": 2300}, "mix = 'density': does not tell the concrete's yield stress"),
         ({"spread": 0.6}, "mix density = None: must be given"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),

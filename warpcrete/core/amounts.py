@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -35,15 +36,14 @@ def amount(field: str, given: Any, unit: str) -> float:
     Raises :class:`SceneError` for anything else.
     """
     known = UNITS[unit]
+    found = math.nan
     if isinstance(given, str):
         text = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*", given)
-        if text is None or (text[2] and text[2] not in known):
-            refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
-        return float(text[1]) * known[text[2] or unit]
-    try:
-        found = float(given) if isinstance(given, NUMBERS) and not isinstance(given, bool) else math.nan
-    except OverflowError:
-        found = math.inf
+        if text is not None and (not text[2] or text[2] in known):
+            found = float(text[1]) * known[text[2] or unit]
+    elif isinstance(given, NUMBERS) and not isinstance(given, bool):
+        with suppress(OverflowError):
+            found = float(given)
     if not math.isfinite(found):
         refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
     return found

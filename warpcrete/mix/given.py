@@ -90,8 +90,10 @@ class Given:
 
 def read(given: Mapping[str, Any], folder: Path) -> Given:
     """A mix from the section of a file in `folder`. Raises :class:`SceneError` for one that contradicts itself."""
-    if not isinstance(given, Mapping) or not given:
+    if not given:
         refuse("mix", given, "is empty", f"say something of it: {', '.join(KEYS)}")
+    if not isinstance(given, Mapping):
+        refuse("mix", given, "must be 'key: value' lines", "indent them below the section's name")
     for key in given:
         one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +36,12 @@ class Mix:
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
+
+    def _repr_html_(self) -> str:
+        """The table, as notebooks show it."""
+        rows = [("th", COLUMNS), *(("td", tuple(row.values())) for row in self.rows())]
+        cells = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) for tag, row in rows)
+        return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
 
     def __getitem__(self, name: str) -> Figure:
         """The figure of a name, as 'yield stress' or 'slip viscosity'."""
