@@ -117,6 +117,12 @@ def test_mortar_and_back():
     assert mix["viscosity"].high == pytest.approx(8 * thickening(0.34, 3.25, 0.57)[0])
 
 
+def test_as_much_aggregate_as_there_can_be():
+    """Short of packing every end of the band is finite."""
+    mix = mix_of({"density": 2500, "aggregate": 0.569, "mortar": {"yield_stress": 20, "viscosity": 8}})
+    assert mix["viscosity"].value < mix["viscosity"].high < 1e8
+
+
 def test_a_line_through_points_and_its_errors():
     random = np.random.default_rng(3)
     x = np.linspace(1, 9, 8)
@@ -300,6 +306,7 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         ({"density": 2300, "t500": 3}, "mix t500 = 3: needs the spread"),
         ({"density": 2300, "slump": "26 cm"}, "mix slump = 0.26: must be in [0.01, 0.24] m; of softer concrete"),
         (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume: more than stones packed"),
+        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume: more than stones packed as they fall, 0.57"),
         (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume, up to 1, or have a unit"),
         (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume: more than stones packed"),
         (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves a mortar of 1067 kg/m3"),

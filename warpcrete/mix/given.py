@@ -10,7 +10,6 @@ from typing import Any
 
 from ..core.amounts import amount
 from ..core.errors import between, one_of, positive, refuse
-from ..theory.suspension import SUSPENSIONS
 from .points import PUMPED, read_points
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
@@ -24,6 +23,8 @@ SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crush
 """Words for the shape of stones, and what elements take for them; a shape factor makes rows of spheres."""
 FINEST = 1e-3
 """Smallest stone that counts as coarse aggregate [m]."""
+PACKED = 0.57
+"""Of the volume, equal balls packed as they fall (Mahaut et al. 2008): no concrete has more coarse aggregate."""
 GRAVEL = 2650.0
 """Density of aggregate that nobody gave [kg/m3]."""
 OFF = 0.03
@@ -167,9 +168,8 @@ def _share(given: Any, heavy: float) -> float:
             refuse("mix aggregate", given, "must be a share of the volume, up to 1, or have a unit",
                    "as '36 %', '360 l/m3', '950 kg/m3'")  # fmt: skip
     positive("mix aggregate", found)
-    densest = SUSPENSIONS["spheres"][1]
-    if found >= densest:
-        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than stones packed as they fall, {densest}",
+    if found >= PACKED:
+        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than stones packed as they fall, {PACKED}",
                "count the coarse aggregate alone")  # fmt: skip
     return found
 

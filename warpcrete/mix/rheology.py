@@ -23,7 +23,7 @@ from ..theory.inverse import (
 from ..theory.pipe import CONCRETES, Concrete, Line, measured_layer
 from ..theory.suspension import SUSPENSIONS, thickening
 from .figures import Figure, around
-from .given import Given, Measured
+from .given import PACKED, Given, Measured
 
 RHEOMETER = 0.2
 """Of constants that were given without an uncertainty."""
@@ -31,7 +31,7 @@ TRIBOMETER = 0.15
 """Likewise of a slip layer's: pressures follow from measured ones within 15 % (Mai et al. 2014)."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """By which slump [m], spread [m] and T500 [s] may be misread (EN 12350-2 and -8: repeatability of 16 to 42 mm)."""
-ROUGHEST, EASIEST = (3.25, 0.57), (2.5, 0.65)
+ROUGHEST, EASIEST = (3.25, PACKED), (2.5, 0.65)
 """Intrinsic viscosity and densest packing at the ends of the band: of rough grains (ground gypsum; Barnes, Hutton &
 Walters 1989) in the packing of equal balls (Mahaut et al. 2008), and of spheres of mixed sizes."""
 SLOWER = 1.3
