@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
-from warpcrete.mps.theory import (
+from warpcrete.theory.pipe import (
     CONCRETES,
     FORMS,
     Concrete,

@@ -9,15 +9,16 @@ import click
 from ..core.amounts import amount
 from ..core.files import next_folder
 from ..core.progress import ProgressBar
+from ..mix.mix import mix_named
 from ..mps.mixes import concrete_of
 from ..studies.line_result import lines_of
-from ..studies.line_run import run_line
-from ..studies.lines import read_line
+from ..studies.line_run import LAYER_FACTOR, run_line
+from ..studies.lines import read_line, with_stone
 from .run import CHECK_FAILED, INTERRUPTED
 
 
 def run(
-    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int,
+    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
     out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
@@ -28,13 +29,17 @@ def run(
         raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
-    chosen = concrete_of(str(concrete or given.concrete))
+    name = str(concrete or given.concrete)
+    chosen, mix = concrete_of(name), mix_named(name)
+    if mix is not None and given.largest_stone is None:
+        given = with_stone(given, mix.given.largest)
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     try:
         found = run_line(
             given, chosen, rate, out=folder, known=known, simulate=not theory,
-            cells=cells, layer_factor=layer_factor, device=device, threads=threads,
+            cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
+            band=mix.band if mix is not None and layer_factor is None else None, device=device, threads=threads,
             progress=None if quiet else progress,
         )  # fmt: skip
     except KeyboardInterrupt:

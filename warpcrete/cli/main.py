@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from ..core.errors import InstabilityError, WarpcreteError
+from .texts import MIX_HELP
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
 
@@ -348,8 +349,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
 @click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'")
 @click.option("--flow", help="in place of the line's, as '30 m3/h'")
 @click.option("--theory", is_flag=True, help="closed form alone: bends and reducers as straight pipe, at once")
-@click.option("--layer-factor", type=float, default=2.0, show_default=True, help="by which the slip layer's constants "
-              "may be off, for the band; 1 where they were measured")  # fmt: skip
+@click.option("--layer-factor", type=float, help="by which the slip layer's constants may be off, for the band; 1 "
+              "where they were measured  [default: 2; of a mix the bands of all its constants]")  # fmt: skip
 @click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
 @click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "
@@ -359,6 +360,15 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)
+
+
+@cli.command("mix", help=MIX_HELP)
+@click.argument("name", metavar="MIX", type=str)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="new file: the plain concrete, as --concrete takes it, too"
+)
+def mix_command(name: str, out: Path | None) -> None:
+    _part("mix").run(name, out)
 
 
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.

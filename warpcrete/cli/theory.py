@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..core.amounts import amount
-from ..core.errors import SceneError, positive, refuse
 from ..core.parameters import Field, declared_fields, resolved
+from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
-from ..mps.theory import Concrete, Line, slip_constants, steady, table
+from ..theory.pipe import Concrete, Line, measured_layer, steady, table
 
 LINE = ("length", "rise", "gravity")
 """Fields of a line that have the same name there and here; its radius is half of the diameter."""
@@ -42,49 +39,20 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
     concrete = concrete_of(values["concrete"], **constants)
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
     if fit is not None:
-        measured = read_points(fit)
-        concrete = _fitted(concrete, line, *measured)
-        flows = flows or tuple(measured[0])
+        measured, pressed = read_points(fit)
+        concrete = _fitted(concrete, line, measured, pressed)
+        flows = flows or tuple(measured)
     click.echo(table(concrete, line, flows or (() if pressures else (FLOW,)), pressures))
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
     """The concrete with the slip layer that measured points ask for; prints how well it meets them."""
-    slope, offset = slip_constants(concrete, line, flows, pressures)
-    if slope <= 0 or offset < 0:
-        raise SceneError(
-            f"fit: the points ask for a slip layer of {slope:.4g} Pa s/m and {offset:.4g} Pa, which none has; look at "
-            "length, rise and diameter, and at viscosity and yield stress, whose shear is taken off the flows"
-        )
-    found = replace(concrete, slip_viscosity=slope, slip_yield=offset)
+    fit = measured_layer(concrete, line, flows, pressures)
+    found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]
-    click.echo(f"fitted to {len(flows)} points: --slip-viscosity {slope:.5g} --slip-yield {offset:.5g}; the closed "
-               f"form is then off by {100 * min(off):+.2g} to {100 * max(off):+.2g} %\n")  # fmt: skip
+    errors = f"standard errors {fit.slope_error:.2g} Pa s/m and {fit.offset_error:.2g} Pa"
+    if len(flows) < 3:
+        errors = "two points do not tell how far they are off"
+    click.echo(f"fitted to {len(flows)} points: --slip-viscosity {fit.slope:.5g} --slip-yield {fit.offset:.5g}; the "
+               f"closed form is then off by {100 * min(off):+.2g} to {100 * max(off):+.2g} %; {errors}\n")  # fmt: skip
     return found
-
-
-def read_points(path: Path) -> tuple[list[float], list[float]]:
-    """Flows [m3/s] and pressures [Pa] of a CSV file whose header names both, with units: `flow [m3/h],pressure [bar]`.
-
-    Raises :class:`SceneError` for a file without them.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        refuse("fit", str(path), f"cannot be read ({error})", "give a CSV file")
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in (rows[0] if rows else [])]
-    places = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
-    found = []
-    for name, unit in (("flow", "m3/s"), ("pressure", "Pa")):
-        if name not in places:
-            refuse(
-                "fit", str(path), f"has no column {name!r}", "its first line must be as 'flow [m3/h],pressure [bar]'"
-            )
-        place, own = places[name]
-        column = {k: row[place] if place < len(row) else "" for k, row in enumerate(rows[1:], 2) if row}
-        fields = {k: f"{path.name}, line {k}: {name}" for k in column}
-        found.append([amount(fields[k], f"{text.strip()} {own}".strip(), unit) for k, text in column.items()])
-        for field, value in zip(fields.values(), found[-1], strict=True):
-            positive(field, value, unit, "leave points at rest out")
-    return found[0], found[1]

@@ -14,9 +14,10 @@ from ..core.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
-from .mixes import CONSTANTS, SUSPENSIONS, concrete_of, file_constants, mortar_of
+from ..theory.pipe import MIXES, Concrete, Line, flow_of_pressure
+from ..theory.suspension import SUSPENSIONS, mortar_of
+from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
 from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
-from .theory import MIXES, Concrete, Line, flow_of_pressure
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
@@ -98,6 +99,11 @@ class AggregateParameters:
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
     """A column of concrete that a piston drives up a pipe."""
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A file's constants, and its mix's coarse aggregate."""
+        return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
         """The concrete's."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..theory.pipe import velocity
 from .particles import MovingParticles
-from .theory import velocity
 
 MIDDLE = (0.4, 0.6)
 """Part of the column, in parts of its height, in which slip velocity and profile are taken."""

@@ -10,8 +10,8 @@ import numpy as np
 from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number, shown
+from ..theory.pipe import Steady
 from .scene import FluidScene
-from .theory import Steady
 
 LAST = 0.2
 """Part of a run of given duration, at its end, whose means are the run's quantities; else the last row's are."""

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.device import PRECISIONS
 from ..core.errors import between, one_of, positive, refuse
 from ..core.parameters import Above, Alias, Declared, OneOf, Within
-from .theory import Concrete, Line, Steady, steady
+from ..theory.pipe import Concrete, Line, Steady, steady
 
 FEWEST_ACROSS = 4  # particles over the pipe's width
 ENDS = ("piston", "periodic")

@@ -10,6 +10,7 @@ from ..core.method import results_of
 from ..core.provenance import arrays_hash, provenance
 from ..core.run_loop import Run
 from ..core.units import quantity
+from ..theory.pipe import velocity
 from . import probes
 from .display import FlowDisplay
 from .grid import probes as grid_probes
@@ -22,7 +23,6 @@ from .quantities import QUANTITIES, Known
 from .run import FlowRun
 from .scene import FluidScene
 from .state import FluidState
-from .theory import velocity
 from .watch import WatchedFlow
 
 LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same

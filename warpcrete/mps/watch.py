@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..core.errors import InstabilityError
+from ..theory.pipe import velocity
 from .scene import FluidScene
-from .theory import velocity
 
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns that are numbers in every row of a flow that means anything."""

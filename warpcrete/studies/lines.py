@@ -14,8 +14,8 @@ from ..core.amounts import amount
 from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from ..geometry.axis import Arc, Axis, Line
-from ..mps.theory import Concrete, steady
-from ..mps.theory import Line as Stretch
+from ..theory.pipe import Concrete, steady
+from ..theory.pipe import Line as Stretch
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
@@ -167,16 +167,20 @@ def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
         axis=axis,
         flow=_above("flow", given["flow"], "m3/s") if "flow" in given else None,
         concrete=str(given["concrete"]) if "concrete" in given else None,
-        largest_stone=stone,
         source=str(given.get("source", "")),
         recorded=_above("recorded", given["recorded"], "Pa") if "recorded" in given else None,
     )
+    _check_crossing(line)
+    return with_stone(line, stone)
+
+
+def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
+    """The line of a concrete whose largest stone [m] is known. Raises :class:`SceneError` where it does not pass."""
     for part in line.parts:
         if stone is not None and stone >= min(part.diameter, part.outlet):
             refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
                    f"{min(part.diameter, part.outlet):g} m", "take a wider pipe or a smaller stone")  # fmt: skip
-    _check_crossing(line)
-    return line
+    return replace(line, largest_stone=stone)
 
 
 def _above(field: str, given: Any, unit: str) -> float:

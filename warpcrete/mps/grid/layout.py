@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...kernels.mps.grid.cells import Kind
+from ...theory.pipe import steady
 from ..scene import FluidScene
-from ..theory import steady
 from .geometry import BARE, MIRROR, PLATE, SMOOTH, STICKS, WALL, Geometry, Room
 
 ABREAST = 2

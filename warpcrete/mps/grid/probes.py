@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from ...kernels.mps.grid.cells import ACTED, FORCE, LIQUID
+from ...theory.pipe import velocity
 from ..probes import Snapshot, section, window
 from ..scene import FluidScene
-from ..theory import velocity
 from .flow import GridFlow
 from .layout import GridLayout
 

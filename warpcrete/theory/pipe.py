@@ -23,6 +23,7 @@ import numpy as np
 from ..core.concretes import concrete
 from ..core.errors import SceneError, between, one_of, refuse
 from ..core.parameters import Above, Declared, Within
+from .fits import StraightLine, straight_line
 
 FORMS = ("pipe", "plane", "paper")
 
@@ -207,15 +208,33 @@ def slip_constants(
     viscosity, yield stress and density, `line` the layer's thickness; Table 3 follows from the constants of no
     thickness in this way.
     """
+    found = _slip_line(concrete, line, flows, pressures)
+    return found.slope, found.offset
+
+
+def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
+    """The same with standard errors, for a layer that there can be. Raises :class:`SceneError` for points that ask for
+    another.
+    """
+    found = _slip_line(concrete, line, flows, pressures)
+    if found.slope <= 0 or found.offset < 0:
+        raise SceneError(
+            f"fit: the points ask for a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which none "
+            "has; look at length, rise and diameter, and at viscosity and yield stress, whose shear is taken off the "
+            "flows"
+        )
+    return found
+
+
+def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
+    """Stress of the wall over slip velocity."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
         refuse("flows", q.tolist(), "needs two or more different flows, and a pressure for each")
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(p))):
         refuse("pressures", p.tolist(), "must be finite numbers")
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)
-    slip = q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe")
-    slope, offset = np.polyfit(slip, stress, 1)
-    return float(slope), float(offset)
+    return straight_line(q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe"), stress)
 
 
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
