@@ -12,7 +12,7 @@ import warp as wp
 from ..core.device import parallel, scalar_of
 from ..core.errors import refuse
 from ..geometry.axis import Axis
-from ..geometry.walls import MeshWall, Wall
+from ..geometry.walls import MeshWall, Prescribed, Wall
 from ..kernels.common.geometry import axis_functions
 from ..kernels.common.walls import wall_struct
 from ..kernels.dem.bond_parallel import bond_functions
@@ -46,6 +46,8 @@ class Features:
     analytic: bool
     """Planes or pipes are among the walls."""
     meshes: bool
+    strokes: bool
+    """Some wall stops on its way."""
     growth: bool
     """Sizes grow while bodies are packed."""
     half_list: bool
@@ -130,6 +132,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
         walls=bool(walls),
         analytic=bool(analytic),
         meshes=bool(meshes),
+        strokes=any(isinstance(wall.motion, Prescribed) and wall.motion.stops is not None for wall in walls),
         growth=growth,
         half_list=not parallel(device),
         dissipation=scene.energy_balance,

@@ -44,7 +44,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         stages = _half_contacts(b, part, *spheres)
         stages += meet
         if part == 0 and f.walls:
-            stages.append(b.stage(advance_kernel(b.scalar), b.wall_count))
+            stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count))
         stages.append(_motion(b, *bodies))
         stages += meet
         if f.subcycling:
@@ -67,7 +67,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar), b.wall_count, beside=True))
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
     links = len(b.links.link)
     candidates = 4 if links >= MANY_LINKS else 1
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width)
