@@ -30,6 +30,7 @@ from warpcrete.dem.scene import (
     PipeUnit,
     PressureProbe,
     Published,
+    Rest,
     Scene,
     Settle,
     TimeStep,
@@ -115,7 +116,9 @@ def scene(parameters: PipeParameters) -> Scene:
             velocity=given.velocity,
             ramp=given.ramp,
             travel=given.distance,
+            stops=given.stops,
         ),
+        rest=_rest(given),
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
@@ -215,9 +218,10 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
         turn = np.cross(axis.tangent, arc.towards)
         centre = np.array(axis.start) + given.elbow_radius * np.array(arc.towards)
         spin = tuple(given.velocity / given.elbow_radius * turn)
-        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time)
+        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time, stops=given.stops)
     else:
-        motion = Prescribed(velocity=tuple(given.velocity * np.array(axis.tangent)), ramp_time=given.ramp_time)
+        velocity = tuple(given.velocity * np.array(axis.tangent))
+        motion = Prescribed(velocity=velocity, ramp_time=given.ramp_time, stops=given.stops)
     return PlaneWall(
         name="piston",
         point=tuple(points[0]),
@@ -331,6 +335,13 @@ def _hydration(given: PipeParameters) -> Hydration | None:
             friction_angle=given.friction_angle,
         ),
     )
+
+
+def _rest(given: PipeParameters) -> Rest | None:
+    if not given.rest or given.stops is None:
+        return None
+    at = given.stops.count * given.stops.period
+    return Rest(at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, wall="piston")
 
 
 def _sizes(given: PipeParameters) -> Sizes:

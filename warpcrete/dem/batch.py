@@ -29,6 +29,7 @@ from .ahead import NEVER, Ahead
 from .links import carry_links, even_pairs, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+from .resting import Structure
 from .subcycling import Subcycles
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
@@ -116,6 +117,7 @@ class Batch:
         self._place_pairs()
         self.links = make_links(self)
         self.subcycles = Subcycles(self)
+        self.structure = Structure(self) if self.features.structure else None
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0

@@ -51,6 +51,8 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
             stages += b.subcycles.stages(part)
         if part == 0:
             stages.append(b.stage(clock_kernel(b.scalar, f.growth), b.count))
+            if b.structure is not None:
+                stages.append(b.structure.stage())
         stages += meet
         step.append(stages)
     return step
@@ -78,6 +80,7 @@ def _full_step(batch: Batch) -> list[Stage]:
         _motion(b, 0, b.body_count),
         *(b.subcycles.stages(0) if f.subcycling else ()),
         b.stage(clock_kernel(b.scalar, f.growth), b.count),
+        *([b.structure.stage()] if b.structure is not None else []),
     ]
     return stages
 
