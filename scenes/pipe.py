@@ -56,6 +56,8 @@ FEWEST = 30
 MOST_BALLS = 600_000
 LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
+LAST_OF_PAUSE = 0.05
+"""Part of the last pause that is left when the rest is put in."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -340,7 +342,8 @@ def _hydration(given: PipeParameters) -> Hydration | None:
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    at = given.stops.count * given.stops.period
+    # Just before the piston starts again.
+    at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
     return Rest(at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, wall="piston")
 
 

@@ -28,8 +28,8 @@ from ..kernels.dem.structs import array_structs, scene_struct
 from .ahead import NEVER, Ahead
 from .links import carry_links, even_pairs, make_links
 from .model import Model
-from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .resting import Structure
+from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .subcycling import Subcycles
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers

@@ -77,18 +77,19 @@ def plot_strokes(run: ElementRun) -> Any:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.add_subplot()
     axes.plot(time, pressure, label="this run", linewidth=1.6)
-    for number in range(stops.count):
-        begin = number * stops.period + stops.stroke_time
+    for stop in range(stops.count):
+        begin = stop * stops.period + stops.stroke_time
         if begin < time[-1]:
             axes.axvspan(begin, min(begin + stops.pause, time[-1]), color="0.92", zorder=0)
             axes.text(begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", fontsize=8, ha="center",
                       transform=axes.get_xaxis_transform())  # fmt: skip
-    for number, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
+    for stroke, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
         top = int(np.flatnonzero(each.moving)[np.argmax(pressure[each.moving])])
-        axes.plot(time[top], pressure[top], "k+", markersize=10, label=None if number else "peak of a stroke")
+        axes.plot(time[top], pressure[top], "k+", markersize=10, label=None if stroke else "peak of a stroke")
     rest = run.scene.rest
     if rest is not None and rest.at < time[-1]:
-        axes.axvline(rest.at, color="C3", linewidth=1.2, label=f"{rest.duration:g} s of rest, {rest.gained:.4g} Pa grown")
+        stood = f"{rest.duration:g} s of rest, {rest.gained:.4g} Pa grown"
+        axes.axvline(rest.at, color="C3", linewidth=1.2, label=stood)
     axes.set(xlabel="time, the rest left out [s]" if rest else "time [s]", ylabel="pressure on the piston [kPa]",
              ylim=(0, None), xlim=(0, time[-1] or 1.0))  # fmt: skip
     axes.legend(frameon=False, fontsize=9)

@@ -88,11 +88,13 @@ class StrokeParameters:
     ] = None  # fmt: skip
     pause: Annotated[float, "of the piston at each stop [s]; 0: it goes straight on", Within(0), STROKES] = 0.5
     rest: Annotated[
-        float, "that concrete stands before the last stroke, grown by a law, not stepped through [s]", Within(0), STROKES
-    ] = 0.0
+        float, "that concrete stands before the last stroke, put in by a law and not stepped through [s]", Within(0),
+        STROKES,
+    ] = 0.0  # fmt: skip
     thixotropy: Annotated[
-        float, "growth of yield stress and strengths at rest, A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED
-    ] = 0.5
+        float, "growth of yield stress and strengths at rest, A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0),
+        RESTED,
+    ] = 0.5  # fmt: skip
     breakdown: Annotated[
         float, "slip along the wall by which what its layer gained falls to 1/e [m]", Above(), RESTED
     ] = 0.1
@@ -207,8 +209,8 @@ class RunParameters(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
-    UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
-    PlugParameters, RunParameters,
+    UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters, ContactParameters,
+    BondParameters, PlugParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
 

@@ -72,7 +72,6 @@ class Known:
         late = pressure[self.window].mean()
         return bool(abs(late - pressure[ahead].mean()) <= LEVEL * abs(late))
 
-
     @property
     def restarted(self) -> bool:
         """The last stroke has begun, after a stop."""

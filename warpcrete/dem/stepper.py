@@ -151,7 +151,7 @@ class Stepper:
         return made
 
     def stand(self) -> float:
-        """Put in the scene's rest: bonds and layer as they are after it; returns the travel from which slip counts [m]."""
+        """Put in the scene's rest, with bonds and layer as after it; returns the travel from which slip counts [m]."""
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
         if scene.bonds is not None:
