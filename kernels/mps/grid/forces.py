@@ -13,6 +13,7 @@ from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
 from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
+from .structure import grown_function
 
 STIFFENING = wp.constant(2.0)
 """Of a viscosity's way in logarithms, under a free surface, what a step goes where concrete stays below yielding."""
@@ -28,6 +29,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, dims)
+    grown = grown_function(scalar, dims)
 
     @wp.func
     def first(pair: wp.int32) -> wp.int32:
@@ -100,7 +102,10 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             mesh.besides[number + 2 * g.slots] = square + first_pair + second_pair
             square += first_pair + second_pair + third
         mesh.strain[number] = square
-        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(g, wp.sqrt(square)), wp.sqrt(square))
+        own = g
+        if wp.static(of.thixotropic):
+            own = grown(g, mesh.gained[number])
+        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(own, wp.sqrt(square)), wp.sqrt(square))
 
     @wp.kernel(enable_backward=False, module="unique")
     def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
@@ -116,17 +121,23 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             if volume > scalar(0.0):
                 sum = scalar(0.0)
                 count = scalar(0.0)
+                gained = scalar(0.0)
                 for n in range(4):
                     o = f.at(g, f.moved(f.moved(c, first(pair), -(n % 2)), second(pair), -(n / 2)))
                     if mesh.liquid[o] != 0:
                         sum += mesh.besides[o + pair * g.slots]
+                        if wp.static(of.thixotropic):
+                            gained += mesh.gained[o]
                         count += scalar(1.0)
+                own = g
+                if wp.static(of.thixotropic):
+                    own = grown(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
                 # Beside a free surface stress varies both ways, and by what particles happen to do.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
-                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(g, total, most), total)
+                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(own, total, most), total)
 
     return SimpleNamespace(rates=rates, viscosity=viscosity)
 
