@@ -5,9 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
+from warpcrete.cli.main import cli
 from warpcrete.core.run_loop import Recorder
+from warpcrete.mps.theory import Concrete
+from warpcrete.studies.lines import line_of
 
 PLUG = dict(
     concrete="own", viscosity=30.0, yield_stress=2000.0, slip_viscosity=1000.0, slip_yield=20.0, density=2350.0,
@@ -122,3 +126,19 @@ def test_rests_that_cannot_be_are_refused_in_one_line(bad, message):
     with pytest.raises(SceneError) as caught:
         scenes.tube(**bad)
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+def test_a_line_restarts_as_the_sum_of_its_parts():
+    line = line_of({"parts": [{"straight": "10 m"}, {"bend": {"to": "up", "radius": "0.5 m"}}, {"straight": "5 m"}],
+                    "diameter": "100 mm"})  # fmt: skip
+    plug = Concrete(density=2400, viscosity=30, yield_stress=500, slip_viscosity=1000, slip_yield=20)
+    length, rise = 15 + 0.25 * math.pi, 5.5
+    weight = 2400 * 9.81 * rise
+    assert line.restart(plug, 600.0, 0.3) == pytest.approx(weight + 4 * 200 / 0.1 * length, rel=1e-9)
+    speed = 2e-3 / (math.pi * 0.05**2)
+    moving = weight + 4 * (200 + 1000 * speed) / 0.1 * length
+    assert line.restart(plug, 600.0, 0.3, 2e-3) == pytest.approx(moving, rel=1e-9)
+    found = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--rest", "600", "--thixotropy", "0.3"])
+    assert found.exit_code == 0 and "after 600 s of rest, grown by 0.3 Pa/s, it moves from 198.2 bar on" in found.output
+    bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])
+    assert bad.exit_code != 0 and "pressure" not in bad.output

@@ -145,7 +145,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
         elif pair in after:  # lists drop what has gone far
             assert after[pair][0] == kind
     kept = sum(kind == 1 for kind, _, _ in before.values())
-    assert made > 300 and kept > 3, (made, kept)
+    assert made > 100 and kept > 100, (made, kept)
 
 
 def test_a_restart_takes_more_than_the_first_start_and_balances_hold(device):
@@ -158,6 +158,20 @@ def test_a_restart_takes_more_than_the_first_start_and_balances_hold(device):
     assert run["momentum_balance_error"] < 1e-4 and abs(run["energy_balance_error"]) < 2e-3
     assert run.series["travel"][-1] == pytest.approx(0.04, abs=2e-4)
     assert set(run.result["strokes"]) == {"1", "2"} and run.result["strokes"]["1"]["held_pressure"]["value"] > 0
+
+
+@pytest.mark.thorough
+def test_a_layer_grown_at_rest_takes_its_stress_times_its_area(device):
+    """Where slip wears nothing off, the pressure rises by the stress on pi r^2 of every contact, over the section."""
+    given = STOPPING | dict(travel=0.06, settle=0.1, shapes="reference", concrete="no2", unit="horizontal", bonds=False)
+    ends, area = [], 0.0
+    for more in ({}, dict(rest=600.0, breakdown=1e3)):
+        simulation = Simulation(scenes.pipe(**given | more), device=device)
+        ends.append(simulation.run()["end_pressure"])
+        x, y, z, radius = simulation.state.spheres.position.numpy().astype(float).T
+        area += 0.5 * math.pi * np.sum(radius[np.hypot(y, z) + radius > 0.04] ** 2)
+    # Of three packings 2, 5 and 11 % more: what presses harder touches at more places.
+    assert ends[1] - ends[0] == pytest.approx(300.0 * area / (math.pi * 0.04**2), rel=0.12)
 
 
 def test_strokes_without_a_pause_are_the_plain_run(device):

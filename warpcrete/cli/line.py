@@ -14,11 +14,13 @@ from ..studies.line_result import lines_of
 from ..studies.line_run import run_line
 from ..studies.lines import read_line
 from .run import CHECK_FAILED, INTERRUPTED
+from .theory import growth_of
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int,
     out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
+    rest: float | None, thixotropy: float | None,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -29,6 +31,9 @@ def run(
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
     chosen = concrete_of(str(concrete or given.concrete))
+    growth = growth_of(rest, thixotropy)
+    if rest is not None:
+        least, most = (given.restart(chosen, rest, growth, each) / 1e5 for each in (0.0, rate))
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     try:
@@ -44,6 +49,9 @@ def run(
     finally:
         progress.close()
     click.echo("\n" + "\n".join(lines_of(found)))
+    if rest is not None:
+        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {least:.4g} bar on; "
+                   f"{most:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
     if found.folder is not None:
         click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
     if found.failed:

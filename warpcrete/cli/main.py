@@ -355,6 +355,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
               "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
+@click.option("--rest", type=float, help="that the line has stood full [s]: what a restart then takes, by theory")
+@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)

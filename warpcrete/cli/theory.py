@@ -35,8 +35,7 @@ def run(
 ) -> None:  # fmt: skip
     """Print the table for the parameters `given`, others at their defaults; with `fit`, a file of points that were
     measured, for the slip layer that they ask for; with `rest` [s] the restart after it, too."""
-    if thixotropy is not None and rest is None:
-        refuse("thixotropy", thixotropy, "means nothing without rest", "--rest 600")
+    growth = growth_of(rest, thixotropy)
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
     values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
@@ -54,9 +53,15 @@ def run(
         flows = flows or tuple(measured[0])
     tables = [table(concrete, line, flows or (() if pressures else (FLOW,)), pressures)]
     if rest is not None:
-        growth = THIXOTROPY if thixotropy is None else thixotropy
         tables += [restart_table(concrete, line, rest, growth, each) for each in flows or (FLOW,)]
     click.echo("\n\n".join(tables))
+
+
+def growth_of(rest: float | None, thixotropy: float | None) -> float:
+    """A_thix [Pa/s], that given or a usual one; refused without a rest."""
+    if thixotropy is not None and rest is None:
+        refuse("thixotropy", thixotropy, "means nothing without rest", "--rest 600")
+    return THIXOTROPY if thixotropy is None else thixotropy
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:

@@ -20,6 +20,33 @@ STIFFENING = wp.constant(2.0)
 
 
 @functools.cache
+def relaxing_function(scalar, of: Kind):
+    """`relaxed`: a viscosity on its way from that of the step before to that of the rate now."""
+    Cells = cells_struct(scalar, of.dimensions)
+    law = bingham_functions(scalar, of.dimensions)
+
+    @wp.func
+    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
+        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
+
+        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
+        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
+        yields goes the whole way.
+        """
+        if before > scalar(0.0):
+            if wp.static(not of.periodic):
+                if now > before and before * rate < g.yield_stress:
+                    ahead = wp.pow(now / before, scalar(STIFFENING))
+                    return wp.min(before * ahead, law.unyielded(g))
+                if now < before:
+                    return now
+            return wp.sqrt(before * now)
+        return now
+
+    return relaxed
+
+
+@functools.cache
 def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
     """Kernels `rates` and `viscosity`: apparent viscosity of cells, then of edges, each for the whole rate of shear."""
     dims, pairs = of.dimensions, of.pairs
@@ -29,6 +56,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, dims)
+    relaxed = relaxing_function(scalar, of)
     grown = grown_function(scalar, dims)
 
     @wp.func
@@ -49,24 +77,6 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             after, before = f.at(g, f.moved(beside, axis, 1)), f.at(g, f.moved(beside, axis, -1))
             sum += wp.where(n == 1, scalar(0.5), scalar(0.25)) * (mesh.stress[after] - mesh.stress[before])
         return scalar(0.5) * wp.abs(sum)
-
-    @wp.func
-    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
-        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
-
-        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
-        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
-        yields goes the whole way.
-        """
-        if before > scalar(0.0):
-            if wp.static(not of.periodic):
-                if now > before and before * rate < g.yield_stress:
-                    ahead = wp.pow(now / before, scalar(STIFFENING))
-                    return wp.min(before * ahead, law.unyielded(g))
-                if now < before:
-                    return now
-            return wp.sqrt(before * now)
-        return now
 
     @wp.func
     def around(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
