@@ -19,6 +19,7 @@ from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
+from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
@@ -344,7 +345,9 @@ def _rest(given: PipeParameters) -> Rest | None:
         return None
     # Just before the piston starts again.
     at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
-    return Rest(at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, wall="piston")
+    return Rest(
+        at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
+    )
 
 
 def _sizes(given: PipeParameters) -> Sizes:

@@ -60,7 +60,7 @@ class Structure:
 
     def grow(self, s: int, begun: float) -> None:
         """Let the layer of a scene have what it gained at rest, less what slip since a travel of `begun` [m] took."""
-        self._gained[s], self._begun[s] = self.batch.models[s].scene.rest.gained, begun
+        self._gained[s], self._begun[s] = self.batch.models[s].scene.rest.layer_gained, begun
         self._device_gained.assign(self._gained)
         self._device_begun.assign(self._begun)
         self.stage()()

@@ -286,12 +286,20 @@ class Rest(Declared):
     duration: Annotated[float, "[s]", Within(0)]
     growth: Annotated[float, "A_thix [Pa/s]", Within(0)] = 0.5
     breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above()] = 0.1
+    coverage: Annotated[
+        float, "area on which a layer acts (pi r^2 of every contact) over the wall's: it gains by as much more", Above()
+    ] = 1.0
     wall: Annotated[str, "name of the wall whose travel is the slip"] = "piston"
 
     @property
     def gained(self) -> float:
         """Stress by which strengths and yield stress have grown [Pa]."""
         return self.growth * self.duration
+
+    @property
+    def layer_gained(self) -> float:
+        """The same of a layer, on the area that it acts on [Pa]."""
+        return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
