@@ -56,12 +56,12 @@ def test_motion_with_stops_follows_its_closed_form(start, precision):
         now = stepper.time
         place, turned = walls.position_exact.numpy().reshape(-1, 3)
         way, angle = 0.3 * gone(now), 2.0 * gone(now - 0.004)
-        assert place == pytest.approx([0, 0, way], abs=1e-14)  # measured 3e-17
-        assert turned == pytest.approx([math.cos(angle), 0, math.sin(angle)], abs=1e-13)
-        assert walls.travel.numpy() == pytest.approx([way, angle], abs=1e-13)
+        assert place == pytest.approx([0, 0, way], abs=1e-15)  # measured 1e-17
+        assert turned == pytest.approx([math.cos(angle), 0, math.sin(angle)], abs=3e-15)
+        assert walls.travel.numpy() == pytest.approx([way, angle], abs=3e-15)
         # Speeds are means over the last step.
         speed = (0.3 * gone(now) - 0.3 * gone(now - 1e-4)) / 1e-4
-        assert walls.velocity_exact.numpy()[0][2] == pytest.approx(speed, abs=1e-10)
+        assert walls.velocity_exact.numpy()[0][2] == pytest.approx(speed, abs=1e-11)
         standing += speed == 0 and walls.velocity_exact.numpy()[0][2] == 0
         before = now
     assert before > COUNT * (STROKE + PAUSE) + RAMP and 40 < standing < COUNT * PAUSE / 1e-3 + 5
@@ -154,9 +154,9 @@ def test_a_restart_takes_more_than_the_first_start_and_balances_hold(device):
     run = Simulation(scenes.pipe(energy_balance=True, rest=600.0, **STOPPING), device=device).run()
     assert run["first_peak_pressure"] == plain["first_peak_pressure"]
     assert run["held_pressure"] == plain["held_pressure"]
-    assert run["restart_pressure"] > 1.1 * plain["restart_pressure"]  # measured 1.19
+    assert run["restart_pressure"] > 1.1 * plain["restart_pressure"]  # measured 1.17
     assert run["held_pressure"] < 0.6 * run["first_peak_pressure"]
-    assert run["momentum_balance_error"] < 1e-4 and abs(run["energy_balance_error"]) < 2e-3
+    assert run["momentum_balance_error"] < 3e-5 and abs(run["energy_balance_error"]) < 6e-4  # 4e-6, 1e-4
     assert run.series["travel"][-1] == pytest.approx(0.04, abs=2e-4)
     assert set(run.result["strokes"]) == {"1", "2"} and run.result["strokes"]["1"]["held_pressure"]["value"] > 0
 
@@ -171,8 +171,8 @@ def test_a_layer_grown_at_rest_takes_its_stress_times_its_area(device):
         ends.append(simulation.run()["end_pressure"])
         _, y, z, radius = simulation.state.spheres.position.numpy().astype(float).T
         area += 0.5 * math.pi * np.sum(radius[np.hypot(y, z) + radius > 0.04] ** 2)
-    # MEASURED
-    assert ends[1] - ends[0] == pytest.approx(300.0 / COVERAGE * area / (math.pi * 0.04**2), rel=0.12)
+    # Of three packings 1, 2 and 5 % more: what presses harder touches at more places.
+    assert ends[1] - ends[0] == pytest.approx(300.0 / COVERAGE * area / (math.pi * 0.04**2), rel=0.08)
 
 
 def test_strokes_without_a_pause_are_the_plain_run(device):

@@ -32,8 +32,7 @@ def run(
     assert rate is not None
     chosen = concrete_of(str(concrete or given.concrete))
     growth = growth_of(rest, thixotropy)
-    if rest is not None:
-        least, most = (given.restart(chosen, rest, growth, each) / 1e5 for each in (0.0, rate))
+    restart = [] if rest is None else [given.restart(chosen, rest, growth, each) / 1e5 for each in (0.0, rate)]
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     try:
@@ -49,9 +48,9 @@ def run(
     finally:
         progress.close()
     click.echo("\n" + "\n".join(lines_of(found)))
-    if rest is not None:
-        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {least:.4g} bar on; "
-                   f"{most:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
+    if restart:
+        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {restart[0]:.4g} bar on; "
+                   f"{restart[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
     if found.folder is not None:
         click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
     if found.failed:

@@ -84,9 +84,10 @@ class Known:
         return peaks(self.scene.pipe, self.series)
 
     @property
-    def held(self) -> float:
-        """Pressure in the last pause before the last stroke [Pa]."""
-        return held(self.scene.pipe, self.series)[-1]
+    def held(self) -> float | None:
+        """Pressure in the last pause before the last stroke [Pa]; None where no sample fell into it."""
+        found = held(self.scene.pipe, self.series)[-1]
+        return found if np.isfinite(found) else None
 
 
 def stroke_begun(scene: Scene, travel: float) -> float:
