@@ -19,6 +19,7 @@ from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
+from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
@@ -30,6 +31,7 @@ from warpcrete.dem.scene import (
     PipeUnit,
     PressureProbe,
     Published,
+    Rest,
     Scene,
     Settle,
     TimeStep,
@@ -55,6 +57,8 @@ FEWEST = 30
 MOST_BALLS = 600_000
 LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
+LAST_OF_PAUSE = 0.05
+"""Part of the last pause that is left when the rest is put in."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -115,7 +119,9 @@ def scene(parameters: PipeParameters) -> Scene:
             velocity=given.velocity,
             ramp=given.ramp,
             travel=given.distance,
+            stops=given.stops,
         ),
+        rest=_rest(given),
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
@@ -215,9 +221,10 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
         turn = np.cross(axis.tangent, arc.towards)
         centre = np.array(axis.start) + given.elbow_radius * np.array(arc.towards)
         spin = tuple(given.velocity / given.elbow_radius * turn)
-        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time)
+        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time, stops=given.stops)
     else:
-        motion = Prescribed(velocity=tuple(given.velocity * np.array(axis.tangent)), ramp_time=given.ramp_time)
+        velocity = tuple(given.velocity * np.array(axis.tangent))
+        motion = Prescribed(velocity=velocity, ramp_time=given.ramp_time, stops=given.stops)
     return PlaneWall(
         name="piston",
         point=tuple(points[0]),
@@ -330,6 +337,16 @@ def _hydration(given: PipeParameters) -> Hydration | None:
             cohesion=given.hydration_strength / 2,
             friction_angle=given.friction_angle,
         ),
+    )
+
+
+def _rest(given: PipeParameters) -> Rest | None:
+    if not given.rest or given.stops is None:
+        return None
+    # Just before the piston starts again.
+    at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
+    return Rest(
+        at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
     )
 
 

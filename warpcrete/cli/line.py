@@ -15,11 +15,13 @@ from ..studies.line_result import lines_of
 from ..studies.line_run import LAYER_FACTOR, run_line
 from ..studies.lines import read_line, with_stone
 from .run import CHECK_FAILED, INTERRUPTED
+from .theory import growth_of
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
     out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
+    rest: float | None, thixotropy: float | None,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -33,6 +35,8 @@ def run(
     chosen, mix = concrete_of(name), mix_named(name)
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
+    growth = growth_of(rest, thixotropy)
+    restart = [] if rest is None else [given.restart(chosen, rest, growth, each) / 1e5 for each in (0.0, rate)]
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     try:
@@ -49,6 +53,9 @@ def run(
     finally:
         progress.close()
     click.echo("\n" + "\n".join(lines_of(found)))
+    if restart:
+        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {restart[0]:.4g} bar on; "
+                   f"{restart[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
     if found.folder is not None:
         click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
     if found.failed:

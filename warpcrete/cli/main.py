@@ -168,12 +168,15 @@ class TheoryCommand(click.Command):
 @click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
 @click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
               "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
+@click.option("--rest", type=float, help="that the concrete has stood [s]: what a restart then takes")
+@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.pass_context
 def theory(
-    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None, **values: Any
-) -> None:
+    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None,
+    rest: float | None, thixotropy: float | None, **values: Any,
+) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    _part("theory").run(_part("options").given(values, context), flow, pressure, fit)
+    _part("theory").run(_part("options").given(values, context), flow, pressure, fit, rest, thixotropy)
 
 
 @cli.command("view")
@@ -357,6 +360,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
               "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
+@click.option("--rest", type=float, help="that the line has stood full [s]: what a restart then takes, by theory")
+@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)

@@ -8,12 +8,15 @@ from typing import Any
 
 import click
 
+from ..core.errors import refuse
 from ..core.parameters import Field, declared_fields, resolved
 from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
-from ..theory.pipe import Concrete, Line, measured_layer, steady, table
+from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady, table
 
+THIXOTROPY = 0.5
+"""A_thix of a concrete between those that stiffen and those that stiffen strongly (Roussel 2006) [Pa/s]."""
 LINE = ("length", "rise", "gravity")
 """Fields of a line that have the same name there and here; its radius is half of the diameter."""
 
@@ -24,9 +27,13 @@ def fields() -> dict[str, Field]:
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
 
-def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...], fit: Path | None = None) -> None:
+def run(
+    given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...], fit: Path | None = None,
+    rest: float | None = None, thixotropy: float | None = None,
+) -> None:  # fmt: skip
     """Print the table for the parameters `given`, others at their defaults; with `fit`, a file of points that were
-    measured, for the slip layer that they ask for."""
+    measured, for the slip layer that they ask for; with `rest` [s] the restart after it, too."""
+    growth = growth_of(rest, thixotropy)
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
     values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
@@ -42,7 +49,17 @@ def run(given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float,
         measured, pressed = read_points(fit)
         concrete = _fitted(concrete, line, measured, pressed)
         flows = flows or tuple(measured)
-    click.echo(table(concrete, line, flows or (() if pressures else (FLOW,)), pressures))
+    tables = [table(concrete, line, flows or (() if pressures else (FLOW,)), pressures)]
+    if rest is not None:
+        tables += [restart_table(concrete, line, rest, growth, each) for each in flows or (FLOW,)]
+    click.echo("\n\n".join(tables))
+
+
+def growth_of(rest: float | None, thixotropy: float | None) -> float:
+    """A_thix [Pa/s], that given or a usual one; refused without a rest."""
+    if thixotropy is not None and rest is None:
+        refuse("thixotropy", thixotropy, "means nothing without rest", "--rest 600")
+    return THIXOTROPY if thixotropy is None else thixotropy
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:

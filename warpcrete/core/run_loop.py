@@ -219,6 +219,10 @@ class Simulation:
         """The run may end before its duration."""
         return False
 
+    def reaching(self, time: float) -> Coroutine:
+        """Go on to a time [s]; methods do here what must be done on the way."""
+        yield Until(time)
+
     # Checkpoints.
 
     def save(self, path: Path) -> None:
@@ -315,7 +319,7 @@ class Simulation:
             if self.stop_requested:
                 self._checkpoint()
                 return False
-            yield Until(min(number * interval, duration))
+            yield from self.reaching(min(number * interval, duration))
             self._samples = number
             row = self._sample()
             ended = self.ended_early()

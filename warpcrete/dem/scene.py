@@ -5,6 +5,7 @@ Defaults are the reference concrete of Zhan et al. 2019, Table 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -15,15 +16,15 @@ from ..core.device import PRECISIONS
 from ..core.errors import between, one_of, positive, refuse, vector
 from ..core.parameters import Above, Declared, Within
 from ..geometry.axis import Axis
-from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Wall
+from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from .clumps import ClumpTemplate
 from .containers import Fill
 from .laws import Contact, ContactLaw
 
 __all__ = [
     "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
-    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Vessel", "Wall", "Watch",
+    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene", "Settle", "Stops",
+    "TimeStep", "Vessel", "Wall", "Watch",
 ]  # fmt: skip
 
 
@@ -231,6 +232,19 @@ class PipeUnit:
     """Travel of the piston over which its velocity rises from rest [m]."""
     travel: float
     """Of the piston at the end [m]."""
+    stops: Stops | None = None
+    """Of the piston on its way."""
+
+    @property
+    def stroke(self) -> float:
+        """Travel of each stroke of the piston [m]."""
+        return self.travel / (1 + self.stops.count if self.stops is not None else 1)
+
+    def begun(self, travel: float) -> float:
+        """Travel at which the stroke began that the piston is in, or comes to next, after so much travel [m]."""
+        if self.stops is None:
+            return 0.0
+        return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,6 +267,39 @@ class Vessel:
         missing = [name for name in VESSELS[self.test] if name not in self.dimensions]
         if missing:
             refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest(Declared):
+    """Minutes that concrete stands at one moment of a run, not stepped through: its structure grows by a law.
+
+    Static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006): so much is added to tensile strength
+    and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls. Bonds that held keep
+    their loads; contacts without one are bonded without load; hydrated ones and those of groups stay as they were. A
+    bond that breaks then is broken for good. What the layer gained is worn off by slip, as exp(-slip / breakdown), the
+    travel of `wall` since then being the slip everywhere, as for a plug. Nothing moves meanwhile.
+    """
+
+    called = "rest"
+
+    at: Annotated[float, "simulated time at which it is put in [s]", Within(0)]
+    duration: Annotated[float, "[s]", Within(0)]
+    growth: Annotated[float, "A_thix [Pa/s]", Within(0)] = 0.5
+    breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above()] = 0.1
+    coverage: Annotated[
+        float, "area on which a layer acts (pi r^2 of every contact) over the wall's: it gains by as much more", Above()
+    ] = 1.0
+    wall: Annotated[str, "name of the wall whose travel is the slip"] = "piston"
+
+    @property
+    def gained(self) -> float:
+        """Stress by which strengths and yield stress have grown [Pa]."""
+        return self.growth * self.duration
+
+    @property
+    def layer_gained(self) -> float:
+        """The same of a layer, on the area that it acts on [Pa]."""
+        return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,6 +340,7 @@ class Scene:
     """[m/s2]"""
     local_damping: float = 0.0
     settle: Settle | None = None
+    rest: Rest | None = None
     time_step: TimeStep = field(default_factory=TimeStep)
     watch: Watch = field(default_factory=Watch)
     sample_interval: float = 0.01
@@ -332,6 +380,8 @@ class Scene:
         for group in [drive.group for drive in self.drives] + list(self.group_bonds):
             if group not in groups:
                 refuse("group", group, f"must be one of the bodies' groups ({', '.join(sorted(groups)) or 'none'})")
+        if self.rest is not None and self.rest.wall not in names:
+            refuse("rest.wall", self.rest.wall, f"must be a wall ({', '.join(names) or 'none'})")
         if self.hydration is not None and self.bonds is None:
             refuse("hydration", self.hydration, "needs bonds", "set Scene.bonds")
 

@@ -26,6 +26,7 @@ from .sampling import STORED, Sampler, unit_of
 from .scene import Scene
 from .state import State
 from .stepper import Stepper
+from .strokes import stroke_table
 from .watch import Watch
 
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
@@ -55,6 +56,8 @@ class ElementSimulation(Simulation):
         """The model."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
+        self.rested: float | None = None
+        """Travel of the piston at which the concrete stood [m]; None before."""
 
     @property
     def prepared(self) -> bool:
@@ -167,6 +170,14 @@ class ElementSimulation(Simulation):
         if scene.hydration is not None:
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
+    def reaching(self, time: float) -> Coroutine:
+        """Go on to a time [s], through the rest if it is on the way."""
+        rest = self.scene.rest
+        if rest is not None and self.rested is None and rest.at <= time:
+            yield Until(rest.at)
+            self.rested = self.stepper.stand()
+        yield Until(time)
+
     def _begin(self) -> None:
         self.stepper.running = True
         self.sampler = Sampler(self.model, self.state)
@@ -183,6 +194,7 @@ class ElementSimulation(Simulation):
             "sampler": self.sampler.state_dict(),
             "watch": self.watch.state_dict(),
             "packing": asdict(self.packing) if self.packing else None,
+            **({"rested": self.rested} if self.scene.rest is not None else {}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -206,6 +218,9 @@ class ElementSimulation(Simulation):
         self._begin()
         self.sampler.load_state_dict(state["sampler"])
         self.watch.load_state_dict(state["watch"])
+        self.rested = state.get("rested")
+        if self.rested is not None:
+            self.stepper.wear_from(self.rested)
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
 
@@ -248,6 +263,8 @@ class ElementSimulation(Simulation):
         if self.scene.pipe is not None:
             result["unit"] = self.scene.pipe.name
             result["concrete_length"] = quantity(self.scene.pipe.concrete_length, "m")
+            if self.scene.pipe.stops is not None and "pressure" in series:
+                result["strokes"] = stroke_table(self.scene.pipe, series)
         if self.scene.vessel is not None:
             result["at_rest"] = bool(self.rows) and state.sphere_count > 0 and at_rest(self.scene.vessel, self.rows)
         if self.packing is not None:

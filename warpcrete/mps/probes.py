@@ -33,6 +33,8 @@ UNITS = {
     "momentum": "kg m/s",
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
+    "layer_gained": "Pa",
+    "bulk_gained": "Pa",
     "aggregate_inner": "1",
     "aggregate_outer": "1",
     "aggregate_front": "1",

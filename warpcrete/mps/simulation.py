@@ -28,6 +28,10 @@ from .watch import WatchedFlow
 LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
 PROFILES = (0.2, 0.5, 0.8)
 """Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
+BREAKING = 6.0
+"""Slips by which a layer's structure falls to 1/e, after which a flow ends all the same."""
+BROKEN = 0.01
+"""Part that may be left of what a layer gained at rest in a steady flow."""
 APART = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
@@ -56,7 +60,10 @@ class FluidSimulation(FlowRun):
     @property
     def duration(self) -> float:
         """Simulated time of the whole run, at most [s]."""
-        return LONGEST if self.scene.duration is None else self.scene.duration
+        if self.scene.duration is not None:
+            return self.scene.duration
+        breaking = BREAKING * self.scene.breakdown / self.scene.velocity if self.scene.gained else 0.0
+        return max(LONGEST, breaking)
 
     def unit(self, column: str) -> str:
         """Unit of a column of the series."""
@@ -84,6 +91,8 @@ class FluidSimulation(FlowRun):
     def ended_early(self) -> bool:
         """The flow is steady, and no duration was asked for."""
         now, part = self._rows[-1], self.scene.steadiness
+        if self.scene.gained and now["layer_gained"] > BROKEN * self.scene.gained:
+            return False  # it may break so slowly that nothing else shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
             # The first row holds no slip layer yet; one agreement may be chance.

@@ -21,7 +21,7 @@ class WatchedFlow:
         self.limits = scene.watch
         self.cures = CURES + (OF_COLUMNS if scene.ends == "piston" else "")
         theory = scene.theory()
-        self.pressure = theory.pressure
+        self.pressure = scene.restart().pressure
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
 
     def __call__(self, row: dict[str, float]) -> None:

@@ -14,7 +14,7 @@ from ..core.amounts import amount
 from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from ..geometry.axis import Arc, Axis, Line
-from ..theory.pipe import Concrete, steady
+from ..theory.pipe import Concrete, rested, steady
 from ..theory.pipe import Line as Stretch
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
@@ -109,6 +109,16 @@ class PipeLine:
     def rise(self) -> float:
         """[m]"""
         return sum(part.rise for part in self.parts)
+
+    def restart(self, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:
+        """Pressure at the pump [Pa] that sets all of it going after `rest` [s], by theory.
+
+        Its yield stresses have grown by `thixotropy` [Pa/s]. Without a `flow` [m3/s] it is that from which the line
+        moves; with one that at which it starts at that flow at once.
+        """
+        grown = rested(concrete, rest, thixotropy)
+        weight = concrete.density * Stretch().gravity * self.rise
+        return max(weight + sum(part.friction(grown, flow) for part in self.parts), 0.0)
 
     def remarks(self) -> list[str]:
         """What a reader should know of it."""
