@@ -354,7 +354,8 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
     found = []
     if given.law == "mortar":
         found.append(
-            "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole"
+            "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole "
+            "(law plastic lets it slump)"
         )
     if given.holding == 0:
         found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
