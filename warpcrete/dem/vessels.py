@@ -357,6 +357,8 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
             "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole "
             "(law plastic lets it slump)"
         )
+    if given.law == "plastic":
+        found.append("law plastic: spreads between the closed forms at 200 to 2000 Pa; softer heaps stop early")
     if given.holding == 0:
         found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
     if given.bulk_density is None:
