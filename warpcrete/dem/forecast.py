@@ -362,6 +362,7 @@ def _features(simulation: ElementSimulation) -> dict[str, str]:
         "drives": f"forces on {', '.join(drive.group for drive in scene.drives)}" if f.drives else "",
         "walls": " and ".join(kind for kind in kinds if kind) + (f"; {', '.join(moving)} moves" if moving else ""),
         "energy balance": "asked for" if f.dissipation else "",
+        "wear of walls": "asked for" if f.wear else "",
         "precision": simulation.precision,
         "half lists": f"each pair stands once, {simulation.threads} threads" if f.half_list else "",
     }

@@ -23,7 +23,7 @@ from .laws import Contact, ContactLaw
 __all__ = [
     "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
     "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Vessel", "Wall", "Watch",
+    "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
@@ -203,6 +203,22 @@ class Watch(Declared):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Wear(Declared):
+    """What contacts do to walls is added up, patch by patch: a pipe's along and around it, a mesh's by triangles.
+
+    Depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times way slid, over the area, k = K/H.
+    """
+
+    called = "wear"
+
+    coefficient: Annotated[
+        float, "k, volume worn over load and way slid [m2/N]; of steel by stones 1e-13 to 1e-12", Within(0)
+    ] = 2e-13
+    patch: Annotated[float | None, "side of a patch of a pipe's wall [m]; default: a 24th of its circumference",
+                     Above()] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class PressureProbe:
     """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
 
@@ -302,6 +318,8 @@ class Scene:
     """`float32` or `float64`, of positions, velocities and forces."""
     energy_balance: bool = False
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
+    wear: Wear | None = None
+    """Add up what contacts do to walls; None does not."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None

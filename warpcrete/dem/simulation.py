@@ -27,6 +27,7 @@ from .scene import Scene
 from .state import State
 from .stepper import Stepper
 from .watch import Watch
+from .wear import WearMap
 
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 SETTLING_PARTS = 50  # looks at that on the way
@@ -39,6 +40,8 @@ class ElementRun(Run):
     packing: PackingReport | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
     """Bodies at the end."""
+    wear: WearMap | None = None
+    """What contacts did to the walls; None where the scene did not ask for it."""
 
 
 class ElementSimulation(Simulation):
@@ -273,4 +276,7 @@ class ElementSimulation(Simulation):
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         units = {name: self.unit(name) for name in series}
-        return ElementRun(self.scene, series, units, result, finished, packing=self.packing, bodies=state.table())
+        return ElementRun(
+            self.scene, series, units, result, finished, packing=self.packing, bodies=state.table(),
+            wear=self.sampler.wear,
+        )  # fmt: skip
