@@ -21,7 +21,7 @@ from warpcrete.core.units import number
 from warpcrete.dem import clumps
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
-from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
+from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     AxisDrive,
     Bodies,
@@ -119,6 +119,7 @@ def scene(parameters: PipeParameters) -> Scene:
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
+        **asked_of(given),
     )
 
 
@@ -410,6 +411,9 @@ def _is_reference(given: PipeParameters) -> bool:
         "energy_balance",
         "overlap_limit",
         "time_step",
+        "wear",
+        "wear_coefficient",
+        "wear_patch",
     }
     if given.concrete not in OF_THE_PAPER:
         return False

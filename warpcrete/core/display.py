@@ -199,6 +199,10 @@ class Display(ABC):
     direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
     """From what there is to see to the eye."""
 
+    def wall_colours(self, number: int) -> np.ndarray | None:
+        """RGB bytes (v, 3) of the vertices of a drawn wall now; None where it has one colour throughout."""
+        return None
+
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
         return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])

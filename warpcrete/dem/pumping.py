@@ -15,7 +15,7 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within, declared_fields
 from .concretes import elements_of
 from .laws.linear import DASHPOTS
-from .scene import MUCH_STIFFER
+from .scene import MUCH_STIFFER, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
@@ -42,6 +42,7 @@ RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaus
 BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
 OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
 PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
+WORN = Needs("wear", bool, "is on")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +157,20 @@ class PlugParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class IndexParameters:
+    """Wear."""
+
+    wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
+    wear_coefficient: Annotated[
+        float, "volume worn over load and way slid, Archard's K/H [m2/N]; of steel by stones 1e-13 to 1e-12",
+        Within(0), WORN,
+    ] = Wear.coefficient  # fmt: skip
+    wear_patch: Annotated[
+        float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunParameters(Declared):
     """Run."""
 
@@ -182,7 +197,7 @@ class RunParameters(Declared):
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
     UnitParameters, PistonParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
-    PlugParameters, RunParameters,
+    PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
 
@@ -267,6 +282,12 @@ class PipeParameters(
         if self.plug_layers is not None:
             return self.plug_layers
         return max(2, math.ceil(UPRIGHT * self.diameter / self.plug_ball - 1e-9)) if self.is_bend else 2
+
+
+def asked_of(given: IndexParameters) -> dict[str, Any]:
+    """Fields of a :class:`Scene` for the indices that are asked for."""
+    wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
+    return {"wear": wear}
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

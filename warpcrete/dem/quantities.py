@@ -15,6 +15,9 @@ from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
+from .wear import WearMap
+from .worn import QUANTITIES as OF_WEAR
+from .worn import report as report_wear
 
 WINDOW = 0.2
 """Part of the travel, at its end, over which the pressure at the end is averaged."""
@@ -33,6 +36,7 @@ class Known:
     """Of all bodies [kg]."""
     contacts: ContactSums
     """At the end, coordination number included."""
+    wear: WearMap | None = None
 
     @property
     def pumped(self) -> bool:
@@ -171,6 +175,7 @@ QUANTITIES = (
     Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
     Quantity("momentum_balance_error", "1", momentum_balance),
     Quantity("energy_balance_error", "1", energy_balance),
+    *OF_WEAR,
 )  # fmt: skip
 
 
@@ -183,6 +188,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     vessel = run.scene.vessel
     if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    yield from report_wear(run)
     packing = run.packing  # type: ignore[attr-defined]
     if packing:
         yield (

@@ -264,7 +264,7 @@ class ElementSimulation(Simulation):
             }
             mass = float(state.bodies.mass.numpy().sum(dtype=float))
             contacts = contact_sums(self.model, state, coordination=True)
-            result |= results_of(QUANTITIES, Known(self.scene, self.model.walls, series, mass, contacts))
+            result |= results_of(QUANTITIES, Known(self.scene, self.model.walls, series, mass, contacts, self.sampler.wear))
         result["speed"] = {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
