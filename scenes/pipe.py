@@ -19,6 +19,7 @@ from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
+from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
@@ -133,15 +134,19 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
     # The last step ends past the duration.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
+    blocked = bool(result["blocked"])
+    whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
     found = {
         "finished": (
-            run.finished and result["steps"] > 0 and abs(travel - goal) < 1e-3 * goal + step,
+            run.finished and result["steps"] > 0 and whole,
             f"travel {travel:.4g} of {goal:.4g} m",
         ),
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
+    if blocked:
+        found["not blocked"] = (False, blocked_words(run))
     passed = _past_plug(run)
     if passed is not None:
         found["plug holds"] = (
@@ -414,6 +419,8 @@ def _is_reference(given: PipeParameters) -> bool:
         "wear",
         "wear_coefficient",
         "wear_patch",
+        "blocked_travel",
+        "stop_when_blocked",
     }
     if given.concrete not in OF_THE_PAPER:
         return False

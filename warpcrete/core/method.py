@@ -30,6 +30,8 @@ class Quantity:
     """How the report gives it, instead of value and unit."""
     compared: bool = False
     """Studies put it into their table and figure."""
+    rare: bool = False
+    """Only if some case has more than 0 of it."""
 
     @property
     def title(self) -> str:

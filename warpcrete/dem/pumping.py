@@ -15,7 +15,7 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within, declared_fields
 from .concretes import elements_of
 from .laws.linear import DASHPOTS
-from .scene import MUCH_STIFFER, Wear
+from .scene import MUCH_STIFFER, Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
@@ -158,7 +158,7 @@ class PlugParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class IndexParameters:
-    """Wear."""
+    """Wear and blockage."""
 
     wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
     wear_coefficient: Annotated[
@@ -168,6 +168,13 @@ class IndexParameters:
     wear_patch: Annotated[
         float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
     ] = None
+    blocked_travel: Annotated[
+        float | None,
+        "of the piston, after which the pipe counts as blocked if part of the concrete stands all the while [m]; "
+        "default: a diameter, within a tenth and a fifth of the concrete's length",
+        Above(),
+    ] = None
+    stop_when_blocked: Annotated[bool, "end the run where the pipe is blocked"] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +294,7 @@ class PipeParameters(
 def asked_of(given: IndexParameters) -> dict[str, Any]:
     """Fields of a :class:`Scene` for the indices that are asked for."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
-    return {"wear": wear}
+    return {"wear": wear, "blockage": Blockage(travel=given.blocked_travel, stop=given.stop_when_blocked)}
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

@@ -11,6 +11,8 @@ from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number
 from ..geometry.walls import Wall
+from .blocked import QUANTITIES as OF_BLOCKAGE
+from .blocked import blocked_words
 from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
@@ -37,6 +39,8 @@ class Known:
     contacts: ContactSums
     """At the end, coordination number included."""
     wear: WearMap | None = None
+    blocked: dict[str, float] | None = None
+    """What a :class:`BlockageWatch` found, empty if nothing; None where nobody looked."""
 
     @property
     def pumped(self) -> bool:
@@ -176,6 +180,7 @@ QUANTITIES = (
     Quantity("momentum_balance_error", "1", momentum_balance),
     Quantity("energy_balance_error", "1", energy_balance),
     *OF_WEAR,
+    *OF_BLOCKAGE,
 )  # fmt: skip
 
 
@@ -188,6 +193,8 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     vessel = run.scene.vessel
     if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    if run.result.get("blocked"):
+        yield "BLOCKED", blocked_words(run)
     yield from report_wear(run)
     packing = run.packing  # type: ignore[attr-defined]
     if packing:

@@ -21,7 +21,7 @@ from .containers import Fill
 from .laws import Contact, ContactLaw
 
 __all__ = [
-    "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
+    "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
     "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
     "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
@@ -219,6 +219,19 @@ class Wear(Declared):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Blockage(Declared):
+    """The run says when its pipe is blocked: part of the concrete stands while the piston goes on."""
+
+    called = "blockage"
+
+    travel: Annotated[
+        float | None, "of the piston, for which part of the concrete stands [m]; default: a diameter, within a tenth "
+        "and a fifth of the concrete's length", Above(),
+    ] = None  # fmt: skip
+    stop: Annotated[bool, "end the run there"] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class PressureProbe:
     """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
 
@@ -320,6 +333,8 @@ class Scene:
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
     wear: Wear | None = None
     """Add up what contacts do to walls; None does not."""
+    blockage: Blockage | None = None
+    """Look for it; needs `pipe` and `pressure`. None does not."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
@@ -343,6 +358,8 @@ class Scene:
         planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
         if self.pressure is not None and self.pressure.wall not in planes:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
+        if self.blockage is not None and (self.pressure is None or self.pipe is None):
+            refuse("blockage", self.blockage, "needs a pipe and a pressure", "set Scene.pipe and Scene.pressure")
         driven = [drive.group for drive in self.drives]
         if len(set(driven)) != len(driven):
             refuse("drives", driven, "may name each group once")

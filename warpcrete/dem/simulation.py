@@ -13,6 +13,7 @@ from ..core.method import results_of
 from ..core.provenance import provenance
 from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
+from .blockage import BlockageWatch
 from .bodies import BodyTable, placed_bodies
 from .display import ElementDisplay
 from .measures import at_rest, is_over
@@ -174,6 +175,8 @@ class ElementSimulation(Simulation):
         self.stepper.running = True
         self.sampler = Sampler(self.model, self.state)
         self.watch = Watch(self.model, self.state)
+        blockage = self.scene.blockage
+        self.blockage = BlockageWatch(self.model, self.state, blockage) if blockage is not None else None
 
     # Checkpoints.
 
@@ -185,6 +188,7 @@ class ElementSimulation(Simulation):
             "stepper": self.stepper.state_dict(),
             "sampler": self.sampler.state_dict(),
             "watch": self.watch.state_dict(),
+            "blockage": self.blockage.state_dict() if self.blockage is not None else None,
             "packing": asdict(self.packing) if self.packing else None,
         }
 
@@ -209,6 +213,8 @@ class ElementSimulation(Simulation):
         self._begin()
         self.sampler.load_state_dict(state["sampler"])
         self.watch.load_state_dict(state["watch"])
+        if self.blockage is not None:
+            self.blockage.load_state_dict(state["blockage"])
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
 
@@ -216,22 +222,27 @@ class ElementSimulation(Simulation):
         """Let go of the device's memory; the run's results stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        for name in ("state", "stepper", "sampler", "watch"):  # a run may have failed before it had them all
+        for name in ("state", "stepper", "sampler", "watch", "blockage"):  # a run may have failed before it had them all
             self.__dict__.pop(name, None)
 
     # Samples and results.
 
     def measure(self) -> dict[str, float]:
         """Measure, and append the row to `rows`."""
-        return self.sampler.sample()
+        row = self.sampler.sample()
+        if self.blockage is not None:
+            self.blockage(row)
+        return row
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
         self.watch(row)
 
     def ended_early(self) -> bool:
-        """Concrete in a vessel has come to rest, or flowed out."""
-        vessel = self.scene.vessel
+        """Concrete in a vessel has come to rest, or flowed out; a pipe is blocked, where that ends the run."""
+        vessel, blockage = self.scene.vessel, self.scene.blockage
+        if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
+            return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def result(self, finished: bool) -> ElementRun:
@@ -264,7 +275,11 @@ class ElementSimulation(Simulation):
             }
             mass = float(state.bodies.mass.numpy().sum(dtype=float))
             contacts = contact_sums(self.model, state, coordination=True)
-            result |= results_of(QUANTITIES, Known(self.scene, self.model.walls, series, mass, contacts, self.sampler.wear))
+            known = Known(
+                self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
+                blocked=self.blockage.found if self.blockage is not None else None,
+            )  # fmt: skip
+            result |= results_of(QUANTITIES, known)
         result["speed"] = {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
