@@ -419,6 +419,7 @@ def _is_reference(given: PipeParameters) -> bool:
         "wear",
         "wear_coefficient",
         "wear_patch",
+        "segregation",
         "blocked_travel",
         "stop_when_blocked",
     }

@@ -1,15 +1,21 @@
 """Wear of walls: works of sliding and impacts against closed forms, the books of energy, patches, checkpoints."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from pumping import SMALL
+from pumping import SMALL, command, small_options
+from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
+from warpcrete.core.files import read_json
+from warpcrete.core.run_loop import Recorder
+from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Wear
 from warpcrete.dem.wear import PipePatches
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall
+from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 
 FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 MESH = MeshWall(
@@ -93,3 +99,112 @@ def test_patches_of_a_bend_add_up_to_a_torus():
     assert faces.max() == len(vertices) - 1 and len(patch) == len(vertices)
     centre = patches.of(vertices[patches.around : -patches.around])
     assert np.array_equal(centre, patch[patches.around : -patches.around])
+
+
+def test_a_wall_that_speeds_up_is_worn_with_the_square_of_time(device):
+    # It slides under a sphere that lags ever more behind: at an even load the way goes with the square of time.
+    contact = Contact(effective_modulus=1e6, friction=0.05)
+    motion = Prescribed(velocity=(1.0, 0, 0), ramp_time=0.02)
+    scene = sliding(contact, velocity=(0, 0, 0), wall=dataclasses.replace(FLOOR, motion=motion))
+    worn = Simulation(scene, device=device).run().series["floor_load_way"]
+    assert worn[4] / worn[2] == pytest.approx(4.0, rel=5e-3)
+    assert worn[-1] == pytest.approx(MASS * 9.81 * 0.5 * (50 - 3.5 * 0.05 * 9.81) * 0.02**2, rel=5e-3)
+
+
+def thrown(**changes) -> Scene:
+    """Stones thrown about a bend, which lose energy on its wall alone, whose springs in shear store none."""
+    random = np.random.default_rng(3)
+    axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.2, np.pi / 2, (1, 0, 0)),))
+    points, _, normal, side = axis.frame(np.linspace(0.03, 0.28, 12))
+    layer = LubricationLayer(contact=Contact(friction=0.0, normal_damping_ratio=0.3), viscosity=500.0)
+    return Scene(
+        name="thrown", duration=0.1, contacts={("aggregate", "wall"): layer},
+        contact=Contact(friction=0.0, normal_damping_ratio=0.0), energy_balance=True, wear=Wear(), sample_interval=0.01,
+        bodies=(Bodies(positions=points + 0.02 * normal - 0.01 * side, sizes=0.012,
+                       velocities=random.normal(scale=0.3, size=(12, 3))),),
+        walls=(PipeWall(name="pipe", axis=axis, radius=0.04),), precision="float64",
+    )  # fmt: skip
+
+
+def test_the_map_adds_up_to_what_is_dissipated(device):
+    run = Simulation(thrown(), device=device).run()
+    worn = run.wear.walls[0]
+    total = worn.done[:, :2].sum()
+    assert total == pytest.approx(run.series["dissipated_energy"][-1], rel=1e-9) and total > 1e-3
+    assert np.all(worn.done.sum(0) > 0) and np.count_nonzero(worn.done[:, 0]) > 10
+    assert worn.mean_depth() == pytest.approx(2e-13 * worn.done[:, 2].sum() / worn.patches.areas.sum())
+
+
+def worn_scene(seed=0) -> Scene:
+    return dataclasses.replace(mixed_scene(seed), wear=Wear(), duration=0.1)
+
+
+class Cut(Recorder):
+    def sample(self, simulation, row):
+        simulation.stop_requested = len(simulation.rows) == 14
+
+
+def same(one, other):
+    assert one.result["state_hash"] == other.result["state_hash"]
+    for name in one.series:
+        assert np.array_equal(one.series[name], other.series[name]), name
+    for mine, yours in zip(one.wear.walls, other.wear.walls, strict=True):
+        assert np.array_equal(mine.done, yours.done)
+
+
+def test_a_resumed_run_wears_the_same(device, tmp_path):
+    whole = Simulation(worn_scene(), device=device).run()
+    path = tmp_path / "checkpoint.npz"
+    assert not Simulation(worn_scene(), device=device, checkpoint_path=path, recorders=[Cut()]).run().finished
+    second = Simulation(worn_scene(), device=device)
+    second.resume(path)
+    same(second.run(), whole)
+    assert {wall.name for wall in whole.wear.walls if wall.done.any()} == {"floor", "plate", "drum"}
+
+
+def test_a_scene_in_a_batch_wears_as_alone(device):
+    some = [worn_scene(seed) for seed in (0, 1)]
+    batched = run_batch([Simulation(scene, device=device, threads=1) for scene in some])
+    for scene, run in zip(some, batched, strict=True):
+        same(run, Simulation(scene, device=device, threads=1).run())
+
+
+@pytest.mark.parametrize("case", [dict(unit="elbow-up"), dict(wall="mesh", facets=24)], ids=["elbow", "mesh"])
+def test_counting_wear_changes_nothing_else(device, case):
+    plain = Simulation(scenes.pipe(**(SMALL | case)), device=device).run()
+    run = Simulation(scenes.pipe(**(SMALL | case), wear=True), device=device).run()
+    assert run.result["state_hash"] == plain.result["state_hash"]
+    assert not [name for name in plain.result if name.startswith("wear")] and plain.wear is None
+    pipe = run.wear.main
+    assert pipe.name == "pipe" and run["wear_depth_per_hour"] == pytest.approx(
+        3600 * pipe.mean_depth() / run.series["time"][-1]
+    )
+    assert run["wear_largest_depth_per_hour"] > run["wear_depth_per_hour"]
+    assert 0 <= run["wear_worst_angle"] < 360 and 0 < run["wear_worst_along"] < 0.4
+    # Dense concrete slides, and hardly ever bumps.
+    assert run["wear_impact_energy"] < 0.02 * run["wear_sliding_energy"]
+
+
+def test_the_command_draws_and_paints_it(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    out = tmp_path / "run"
+    done = command("run", "pipe", "--device", "cpu", *small_options(unit="elbow-up"), "--wear", "--usd", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "um/h" in done.stdout and (out / "wear.png").stat().st_size > 10_000
+    assert read_json(out / "result.json")["wear_depth_per_hour"]["unit"] == "m/h"
+    stage = Usd.Stage.Open(str(out / "scene.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Walls/pipe"))
+    colour = mesh.GetDisplayColorPrimvar()
+    first, last = (np.array(colour.Get(code)) for code in (0, colour.GetTimeSamples()[-1]))
+    assert len(last) == len(mesh.GetPointsAttr().Get()) and colour.GetInterpolation() == "vertex"
+    assert np.ptp(first, axis=0).max() == 0 and np.ptp(last, axis=0).max() > 0.3
+
+
+def test_wear_is_refused_with_nonsense():
+    from warpcrete import SceneError
+
+    with pytest.raises(SceneError, match=r"^wear_coefficient = -1"):
+        scenes.pipe(wear=True, wear_coefficient=-1)
+    with pytest.raises(SceneError, match=r"^wear patch = 0"):
+        Wear(patch=0)

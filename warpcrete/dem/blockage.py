@@ -27,6 +27,8 @@ STANDS = 0.2
 """Way of a part over that of the piston, below which it stands: it was 0.9 or more of all parts of sound runs once they
 moved; a pipe that widens to twice its diameter leaves 0.25. Of a closed pipe's concrete the last part still goes as
 much as what lies before the end is pressed together."""
+GRADIENT = 200e3
+"""Of pressure along a pipe, above what concrete is pumped with [Pa/m]: 5 to 50 kPa/m are usual."""
 OPPOSITE = np.radians(150.0)
 """Angle between places of a wall that a force chain must join to span the pipe."""
 QUADRATURE = 24
@@ -41,7 +43,7 @@ class BlockageWatch:
         pipe = model.scene.pipe
         assert pipe is not None
         self.axis, self.radius = pipe.axis, pipe.radius
-        self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length)
+        self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Travel of the piston for which a part must stand [m]."""
         self.found: dict[str, float] = {}
         """Empty, or what is known of the blockage: see `_describe`."""
@@ -111,11 +113,15 @@ class BlockageWatch:
         }
 
 
-def patience(diameter: float, length: float) -> float:
-    """Travel of the piston for which part of the concrete must stand [m]: a diameter, but a tenth to a fifth of the
-    concrete's length. The paper's soft aggregates are pressed together by up to a twentieth before their front moves.
+def patience(diameter: float, length: float, modulus: float) -> float:
+    """Travel of the piston for which part of the concrete must stand [m].
+
+    As much as the column gives under a gradient that no pumping has, but a twentieth of its length, and at most a
+    diameter, within a tenth and a fifth of the length: the paper's soft aggregates (1e5 Pa) are pressed together by up
+    to a twentieth before their front moves.
     """
-    return max(min(diameter, length / 5), length / 10)
+    most = max(min(diameter, length / 5), length / 10)
+    return min(max(length * GRADIENT * length / modulus, length / 20), most)
 
 
 def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end: float) -> float:

@@ -158,7 +158,7 @@ class PlugParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class IndexParameters:
-    """Wear and blockage."""
+    """Wear, segregation and blockage."""
 
     wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
     wear_coefficient: Annotated[
@@ -168,10 +168,11 @@ class IndexParameters:
     wear_patch: Annotated[
         float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
     ] = None
+    segregation: Annotated[bool, "measure where in the pipe the aggregate is, and its large stones"] = False
     blocked_travel: Annotated[
         float | None,
         "of the piston, after which the pipe counts as blocked if part of the concrete stands all the while [m]; "
-        "default: a diameter, within a tenth and a fifth of the concrete's length",
+        "default: a twentieth of the concrete's length, of soft aggregates a diameter, up to a fifth of it",
         Above(),
     ] = None
     stop_when_blocked: Annotated[bool, "end the run where the pipe is blocked"] = False
@@ -294,7 +295,11 @@ class PipeParameters(
 def asked_of(given: IndexParameters) -> dict[str, Any]:
     """Fields of a :class:`Scene` for the indices that are asked for."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
-    return {"wear": wear, "blockage": Blockage(travel=given.blocked_travel, stop=given.stop_when_blocked)}
+    return {
+        "wear": wear,
+        "blockage": Blockage(travel=given.blocked_travel, stop=given.stop_when_blocked),
+        "segregation": given.segregation,
+    }
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

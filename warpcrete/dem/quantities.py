@@ -17,6 +17,8 @@ from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
+from .segregation import QUANTITIES as OF_SEGREGATION
+from .segregation import words as segregation_words
 from .wear import WearMap
 from .worn import QUANTITIES as OF_WEAR
 from .worn import report as report_wear
@@ -181,6 +183,7 @@ QUANTITIES = (
     Quantity("energy_balance_error", "1", energy_balance),
     *OF_WEAR,
     *OF_BLOCKAGE,
+    *OF_SEGREGATION,
 )  # fmt: skip
 
 
@@ -195,6 +198,8 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
     if run.result.get("blocked"):
         yield "BLOCKED", blocked_words(run)
+    if "segregation" in run.result:
+        yield "segregation", segregation_words(run)
     yield from report_wear(run)
     packing = run.packing  # type: ignore[attr-defined]
     if packing:

@@ -15,6 +15,8 @@ from .measures import UNITS as MEASURED
 from .measures import measured
 from .model import Model
 from .probes import both_sums
+from .segregation import UNITS as SEGREGATION
+from .segregation import row_of
 from .state import State
 from .wear import UNITS as WEAR_UNITS
 from .wear import WearMap
@@ -41,6 +43,7 @@ UNITS = {
     "time_step": "s",
     "reach": "m",
     **MEASURED,
+    **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
 """Of columns that end in an axis."""
@@ -147,6 +150,8 @@ class Sampler:
                 row[f"{wall.name}_force_{letter}"] = float(self._mean[number, axis])
                 row[f"{wall.name}_moment_{letter}"] = float(self._mean[number, 3 + axis])
                 row[f"{wall.name}_impulse_{letter}"] = float(impulse[number, axis])
+        if scene.segregation:
+            row |= row_of(model, state)
         if self.wear is not None:
             self.wear.take(state)
             row |= self.wear.columns()

@@ -21,9 +21,9 @@ from .containers import Fill
 from .laws import Contact, ContactLaw
 
 __all__ = [
-    "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
-    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Vessel", "Wall", "Watch", "Wear",
+    "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall",
+    "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle",
+    "TimeStep", "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
@@ -225,8 +225,8 @@ class Blockage(Declared):
     called = "blockage"
 
     travel: Annotated[
-        float | None, "of the piston, for which part of the concrete stands [m]; default: a diameter, within a tenth "
-        "and a fifth of the concrete's length", Above(),
+        float | None, "of the piston, for which part of the concrete stands [m]; default: a twentieth of the "
+        "concrete's length, of soft aggregates a diameter, up to a fifth of it", Above(),
     ] = None  # fmt: skip
     stop: Annotated[bool, "end the run there"] = False
 
@@ -335,6 +335,8 @@ class Scene:
     """Add up what contacts do to walls; None does not."""
     blockage: Blockage | None = None
     """Look for it; needs `pipe` and `pressure`. None does not."""
+    segregation: bool = False
+    """Measure where in the pipe the aggregate is; needs `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
@@ -360,6 +362,8 @@ class Scene:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
         if self.blockage is not None and (self.pressure is None or self.pipe is None):
             refuse("blockage", self.blockage, "needs a pipe and a pressure", "set Scene.pipe and Scene.pressure")
+        if self.segregation and self.pipe is None:
+            refuse("segregation", self.segregation, "needs a pipe", "set Scene.pipe")
         driven = [drive.group for drive in self.drives]
         if len(set(driven)) != len(driven):
             refuse("drives", driven, "may name each group once")
