@@ -131,7 +131,7 @@ def test_the_map_adds_up_to_what_is_dissipated(device):
     worn = run.wear.walls[0]
     total = worn.done[:, :2].sum()
     assert total == pytest.approx(run.series["dissipated_energy"][-1], rel=1e-9) and total > 1e-3
-    assert np.all(worn.done.sum(0) > 0) and np.count_nonzero(worn.done[:, 0]) > 10
+    assert np.all(worn.done.sum(0) > 0) and np.count_nonzero(worn.done[:, 0]) > 5
     assert worn.mean_depth() == pytest.approx(2e-13 * worn.done[:, 2].sum() / worn.patches.areas.sum())
 
 
