@@ -4,15 +4,19 @@ import dataclasses
 
 import numpy as np
 import pytest
+from orifices import orifice
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem import blockage
+from warpcrete.dem.method import METHOD
 from warpcrete.dem.quantities import report
 from warpcrete.dem.scene import Blockage, Bodies, Scene
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PipeWall, PlaneWall
+from warpcrete.studies.cases import Case
+from warpcrete.studies.study import Study
 
 SHORT = dict(
     diameter=0.08, length=0.24, travel=0.14, ramp=0.02, settle=0.3, size_min=8e-3, size_max=14e-3, unit="horizontal"
@@ -142,3 +146,25 @@ def test_loads_are_the_axial_part(start):
 def test_blockage_needs_a_pipe_and_a_pressure():
     with pytest.raises(SceneError, match=r"^blockage = .*needs a pipe and a pressure"):
         Scene(name="none", duration=1.0, blockage=Blockage())
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("ratio", "blocked"), [(1.5, True), (2.0, True), (5.0, False)])
+def test_stones_of_half_the_pipe_block_it_and_small_ones_do_not(device, ratio, blocked):
+    run = Simulation(orifice(ratio), device=device).run()
+    assert run["blocked"] == blocked
+    if blocked:  # before the narrow pipe, which begins at 0.195 m
+        assert 0.12 < run["blocked_at"] < 0.2 and run["blocked_chains"] >= 1
+        assert run.bodies.position[:, 0].max() < 0.23
+    else:
+        assert np.count_nonzero(run.bodies.position[:, 0] > 0.235) > 30
+
+
+def test_a_study_tells_how_often(tmp_path):
+    cases = [Case(name=f"{d}-{k}", varied={"diameter": d}, parameters={}) for d in (0.1, 0.2) for k in range(4)]
+    told = dict(zip([case.name for case in cases], [1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], strict=True))
+    study = Study(tmp_path, "pipe", cases, METHOD.quantities, results={k: {"blocked": v} for k, v in told.items()})
+    assert [row["blocked"] for row in study.rows()] == [0.75, 0.0]
+    assert "75.00" in study.table()
+    never = Study(tmp_path, "pipe", cases, METHOD.quantities, results={k: {"blocked": 0.0} for k in told})
+    assert "blocked" not in [each.name for each in never.compared]
