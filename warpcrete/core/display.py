@@ -231,14 +231,14 @@ class Display(ABC):
         return centre + distance * size * np.array(self.direction), centre
 
 
-def on_palette(values: np.ndarray, upper: float, lower: float = 0.0) -> np.ndarray:
-    """RGB bytes (n, 3) of values from `lower` to `upper`, on matplotlib's perceptually even viridis map."""
+def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
+    """RGB bytes (n, 3) of values from `lower` to `upper`, on a map of matplotlib's, the perceptually even viridis."""
     scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
-    return _palette()[(255 * scaled).astype(int)]
+    return _palette(name)[(255 * scaled).astype(int)]
 
 
 @functools.cache
-def _palette() -> np.ndarray:
+def _palette(name: str) -> np.ndarray:
     from matplotlib import colormaps
 
-    return (255 * colormaps["viridis"](np.arange(256))[:, :3]).astype(np.uint8)
+    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)

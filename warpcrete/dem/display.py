@@ -23,8 +23,10 @@ from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_forces, pairs_of
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
-WORN = (255, 255, 255, 160)
-"""Over the colours of wear: stones are to be seen through it."""
+WORN = (255, 255, 255, 215)
+"""Over the colours of wear: stones are to be seen through it a little."""
+WEAR_PALETTE = "magma_r"
+"""Another one than that of stones; pale where nothing is worn."""
 CONTACTS, BONDS = (130, 130, 130), (230, 140, 30)
 ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
 
@@ -132,7 +134,7 @@ class ElementDisplay(Display):
         depth = self.once(f"wear of {number}", lambda: worn.depth)
         if number not in self._patches:
             self._patches[number] = worn.patches.surface()[2]
-        return on_palette(depth, float(np.quantile(depth, 0.99)))[self._patches[number]]
+        return on_palette(depth, float(np.quantile(depth, 0.99)), name=WEAR_PALETTE)[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
