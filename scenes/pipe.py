@@ -134,7 +134,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
     # The last step ends past the duration.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
-    blocked = bool(result["blocked"])
+    blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
     found = {
         "finished": (

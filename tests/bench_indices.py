@@ -22,9 +22,7 @@ RATIOS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
 
 def wear(device: str | None) -> None:
     """Load times way over the area of the first 0.1 to 0.45 m, all round and by quarters, of the paper's units."""
-    print(
-        "| shapes | unit | end [kPa] | all round [kN/m] | outside | sides | inside | impacts | mm in 1000 m3 |"
-    )
+    print("| shapes | unit | end [kPa] | all round [kN/m] | outside | sides | inside | impacts | mm in 1000 m3 |")
     for shapes in ("spheres", "reference"):
         for unit in UNITS:
             run = Simulation(scenes.pipe(**PIPE, unit=unit, shapes=shapes), device=device).run()

@@ -145,7 +145,8 @@ def test_loads_are_the_axial_part(start):
 
 def test_blockage_needs_a_pipe_and_a_pressure():
     with pytest.raises(SceneError, match=r"^blockage = .*needs a pipe and a pressure"):
-        Scene(name="none", duration=1.0, blockage=Blockage())
+        Scene(name="none", duration=1.0, blockage=Blockage(stop=True))
+    assert not Scene(name="none", duration=1.0, blockage=Blockage()).looks_for_blockage
 
 
 @pytest.mark.thorough

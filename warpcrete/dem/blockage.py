@@ -14,7 +14,6 @@ from ..geometry.meshes import rays
 from ..geometry.walls import MeshWall, PipeWall
 from .model import Model
 from .probes import pair_forces
-from .scene import Blockage
 from .state import State
 
 PARTS = 20
@@ -38,10 +37,10 @@ QUADRATURE = 24
 class BlockageWatch:
     """Looks at the concrete now and then along the piston's travel; remembers when the pipe was blocked first."""
 
-    def __init__(self, model: Model, state: State, blockage: Blockage) -> None:
+    def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
-        pipe = model.scene.pipe
-        assert pipe is not None
+        pipe, blockage = model.scene.pipe, model.scene.blockage
+        assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
         self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Travel of the piston for which a part must stand [m]."""

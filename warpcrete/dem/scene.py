@@ -334,7 +334,7 @@ class Scene:
     wear: Wear | None = None
     """Add up what contacts do to walls; None does not."""
     blockage: Blockage | None = None
-    """Look for it; needs `pipe` and `pressure`. None does not."""
+    """Look for it, where there are `pipe` and `pressure`; None does not."""
     segregation: bool = False
     """Measure where in the pipe the aggregate is; needs `pipe`."""
     pressure: PressureProbe | None = None
@@ -360,7 +360,8 @@ class Scene:
         planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
         if self.pressure is not None and self.pressure.wall not in planes:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
-        if self.blockage is not None and (self.pressure is None or self.pipe is None):
+        wanted = self.blockage is not None and (self.blockage.stop or self.blockage.travel is not None)
+        if wanted and not self.looks_for_blockage:
             refuse("blockage", self.blockage, "needs a pipe and a pressure", "set Scene.pipe and Scene.pressure")
         if self.segregation and self.pipe is None:
             refuse("segregation", self.segregation, "needs a pipe", "set Scene.pipe")
@@ -373,6 +374,11 @@ class Scene:
                 refuse("group", group, f"must be one of the bodies' groups ({', '.join(sorted(groups)) or 'none'})")
         if self.hydration is not None and self.bonds is None:
             refuse("hydration", self.hydration, "needs bonds", "set Scene.bonds")
+
+    @property
+    def looks_for_blockage(self) -> bool:
+        """There is a pipe, and a piston's pressure, to look at."""
+        return self.blockage is not None and self.pipe is not None and self.pressure is not None
 
     def __repr__(self) -> str:
         placed = sum(len(bodies.positions) for bodies in self.bodies)

@@ -175,8 +175,7 @@ class ElementSimulation(Simulation):
         self.stepper.running = True
         self.sampler = Sampler(self.model, self.state)
         self.watch = Watch(self.model, self.state)
-        blockage = self.scene.blockage
-        self.blockage = BlockageWatch(self.model, self.state, blockage) if blockage is not None else None
+        self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
     # Checkpoints.
 
