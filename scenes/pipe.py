@@ -19,10 +19,11 @@ from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
+from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
-from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
+from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     AxisDrive,
     Bodies,
@@ -125,6 +126,7 @@ def scene(parameters: PipeParameters) -> Scene:
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
+        **asked_of(given),
     )
 
 
@@ -138,15 +140,19 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
     # The last step ends past the duration.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
+    blocked = bool(result.get("blocked"))
+    whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
     found = {
         "finished": (
-            run.finished and result["steps"] > 0 and abs(travel - goal) < 1e-3 * goal + step,
+            run.finished and result["steps"] > 0 and whole,
             f"travel {travel:.4g} of {goal:.4g} m",
         ),
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
+    if blocked:
+        found["not blocked"] = (False, blocked_words(run))
     passed = _past_plug(run)
     if passed is not None:
         found["plug holds"] = (
@@ -427,6 +433,12 @@ def _is_reference(given: PipeParameters) -> bool:
         "energy_balance",
         "overlap_limit",
         "time_step",
+        "wear",
+        "wear_coefficient",
+        "wear_patch",
+        "segregation",
+        "blocked_travel",
+        "stop_when_blocked",
     }
     if given.concrete not in OF_THE_PAPER:
         return False

@@ -40,7 +40,8 @@ thirds to the whole of one's time at a thousand spheres, one and a quarter to tw
 
 def batch_key(model: Model) -> tuple:
     """Scenes with equal keys can share a batch."""
-    return model.features, model.analytic_walls, model.scalar, str(model.device)
+    worn = len(model.walls) if model.features.wear else 0
+    return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
 
 class Batch:

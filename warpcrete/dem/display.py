@@ -23,6 +23,10 @@ from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_forces, pairs_of
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
+WORN = (255, 255, 255, 215)
+"""Over the colours of wear: stones are to be seen through it a little."""
+WEAR_PALETTE = "magma_r"
+"""Another one than that of stones; pale where nothing is worn."""
 CONTACTS, BONDS = (130, 130, 130), (230, 140, 30)
 ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
 
@@ -37,6 +41,8 @@ class ElementDisplay(Display):
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         super().__init__(simulation, colouring)
         self._upper = self._limit()
+        self._patches: dict[int, np.ndarray] = {}
+        """Patch of each vertex of a worn wall, by the wall's number."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
@@ -107,8 +113,28 @@ class ElementDisplay(Display):
         for number in self._drawn:
             wall = self.simulation.model.walls[number]
             vertices, faces = wall.drawn()
-            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, COLOURS.get(wall.name, OTHER)))
+            colour = COLOURS.get(wall.name, OTHER)
+            if (worn := self._worn(number)) is not None:
+                (vertices, faces, _), colour = worn.patches.surface(), WORN
+            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, colour))
         return found
+
+    def _worn(self, number: int) -> Any:
+        """What is known of a wall's wear; None of planes, which have one patch."""
+        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
+        if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
+            return None
+        return sampler.wear.walls[number]
+
+    def wall_colours(self, number: int) -> np.ndarray | None:
+        """Of walls that wear: depth over that of the hundredth of the patches that is worn most."""
+        worn = self._worn(number := self._drawn[number])
+        if worn is None:
+            return None
+        depth = self.once(f"wear of {number}", lambda: worn.depth)
+        if number not in self._patches:
+            self._patches[number] = worn.patches.surface()[2]
+        return on_palette(depth, float(np.quantile(depth, 0.99)), name=WEAR_PALETTE)[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""

@@ -366,6 +366,7 @@ def _features(simulation: ElementSimulation) -> dict[str, str]:
         ),
         "structure": "a layer that grows at rest" if f.structure else "",
         "energy balance": "asked for" if f.dissipation else "",
+        "wear of walls": "asked for" if f.wear else "",
         "precision": simulation.precision,
         "half lists": f"each pair stands once, {simulation.threads} threads" if f.half_list else "",
     }

@@ -57,6 +57,8 @@ class Features:
     """Pairs inside a thread's chunk stand once in the lists (CPU); else at both spheres (GPU)."""
     dissipation: bool
     """Dissipated energy is added up."""
+    wear: bool
+    """What contacts do to walls is added up."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,6 +142,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
         growth=growth,
         half_list=not parallel(device),
         dissipation=scene.energy_balance,
+        wear=scene.wear is not None and bool(walls) and not growth,
     )
     axes = _Axes()
     table, kept = _wall_rows(walls, materials, axes, scalar, device)

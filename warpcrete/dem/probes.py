@@ -209,6 +209,16 @@ def largest_forces(model: Model, state: State) -> np.ndarray:
     return result
 
 
+def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of both spheres of every touching pair, each once, and the normal force of their springs [N]."""
+    if not state.sphere_count:
+        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+    force = _measure_contacts(state)[1].numpy()
+    i, j, place = listed_pairs(state)
+    carried = force[place].astype(float)
+    return i[carried > 0], j[carried > 0], carried[carried > 0]
+
+
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places of both spheres of every listed pair, each pair once, and its place in the pair arrays."""
     return pairs_of(state.pairs.start.numpy(), state.pairs.other.numpy(), chunks_of(state))

@@ -16,7 +16,7 @@ from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, With
 from ..geometry.walls import Stops
 from .concretes import elements_of
 from .laws.linear import DASHPOTS
-from .scene import MUCH_STIFFER
+from .scene import MUCH_STIFFER, Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
@@ -45,6 +45,7 @@ OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
 STROKES = Needs("strokes", lambda strokes: strokes > 1, "is 2 or more")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
+WORN = Needs("wear", bool, "is on")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +185,28 @@ class PlugParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class IndexParameters:
+    """Wear, segregation and blockage."""
+
+    wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
+    wear_coefficient: Annotated[
+        float, "volume worn over load and way slid, Archard's K/H [m2/N]; of steel by stones 1e-13 to 1e-12",
+        Within(0), WORN,
+    ] = Wear.coefficient  # fmt: skip
+    wear_patch: Annotated[
+        float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
+    ] = None
+    segregation: Annotated[bool, "measure where in the pipe the aggregate is, and its large stones"] = False
+    blocked_travel: Annotated[
+        float | None,
+        "of the piston, after which the pipe counts as blocked if part of the concrete stands all the while [m]; "
+        "default: a twentieth of the concrete's length, of soft aggregates a diameter, up to a fifth of it",
+        Above(),
+    ] = None
+    stop_when_blocked: Annotated[bool, "end the run where the pipe is blocked"] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunParameters(Declared):
     """Run."""
 
@@ -210,7 +233,7 @@ class RunParameters(Declared):
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
     UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters, ContactParameters,
-    BondParameters, PlugParameters, RunParameters,
+    BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
 
@@ -329,6 +352,16 @@ class PipeParameters(
         if self.plug_layers is not None:
             return self.plug_layers
         return max(2, math.ceil(UPRIGHT * self.diameter / self.plug_ball - 1e-9)) if self.is_bend else 2
+
+
+def asked_of(given: IndexParameters) -> dict[str, Any]:
+    """Fields of a :class:`Scene` for the indices that are asked for."""
+    wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
+    return {
+        "wear": wear,
+        "blockage": Blockage(travel=given.blocked_travel, stop=given.stop_when_blocked),
+        "segregation": given.segregation,
+    }
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

@@ -11,11 +11,18 @@ from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number
 from ..geometry.walls import Wall
+from .blocked import QUANTITIES as OF_BLOCKAGE
+from .blocked import blocked_words
 from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
+from .segregation import QUANTITIES as OF_SEGREGATION
+from .segregation import words as segregation_words
 from .strokes import held, peaks
+from .wear import WearMap
+from .worn import QUANTITIES as OF_WEAR
+from .worn import report as report_wear
 
 WINDOW = 0.2
 """Part of the travel, at its end, over which the pressure at the end is averaged."""
@@ -34,6 +41,9 @@ class Known:
     """Of all bodies [kg]."""
     contacts: ContactSums
     """At the end, coordination number included."""
+    wear: WearMap | None = None
+    blocked: dict[str, float] | None = None
+    """What a :class:`BlockageWatch` found, empty if nothing; None where nobody looked."""
 
     @property
     def pumped(self) -> bool:
@@ -223,6 +233,9 @@ QUANTITIES = (
     Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
     Quantity("momentum_balance_error", "1", momentum_balance),
     Quantity("energy_balance_error", "1", energy_balance),
+    *OF_WEAR,
+    *OF_BLOCKAGE,
+    *OF_SEGREGATION,
 )  # fmt: skip
 
 
@@ -235,6 +248,11 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     vessel = run.scene.vessel
     if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    if run.result.get("blocked"):
+        yield "BLOCKED", blocked_words(run)
+    if "segregation" in run.result:
+        yield "segregation", segregation_words(run)
+    yield from report_wear(run)
     packing = run.packing  # type: ignore[attr-defined]
     if packing:
         yield (

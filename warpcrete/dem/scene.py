@@ -22,9 +22,9 @@ from .containers import Fill
 from .laws import Contact, ContactLaw
 
 __all__ = [
-    "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
-    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene", "Settle", "Stops",
-    "TimeStep", "Vessel", "Wall", "Watch",
+    "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall",
+    "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene", "Settle",
+    "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
@@ -204,6 +204,35 @@ class Watch(Declared):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Wear(Declared):
+    """What contacts do to walls is added up, patch by patch: a pipe's along and around it, a mesh's by triangles.
+
+    Depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times way slid, over the area, k = K/H.
+    """
+
+    called = "wear"
+
+    coefficient: Annotated[
+        float, "k, volume worn over load and way slid [m2/N]; of steel by stones 1e-13 to 1e-12", Within(0)
+    ] = 2e-13
+    patch: Annotated[float | None, "side of a patch of a pipe's wall [m]; default: a 24th of its circumference",
+                     Above()] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blockage(Declared):
+    """The run says when its pipe is blocked: part of the concrete stands while the piston goes on."""
+
+    called = "blockage"
+
+    travel: Annotated[
+        float | None, "of the piston, for which part of the concrete stands [m]; default: a twentieth of the "
+        "concrete's length, of soft aggregates a diameter, up to a fifth of it", Above(),
+    ] = None  # fmt: skip
+    stop: Annotated[bool, "end the run there"] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class PressureProbe:
     """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
 
@@ -350,6 +379,12 @@ class Scene:
     """`float32` or `float64`, of positions, velocities and forces."""
     energy_balance: bool = False
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
+    wear: Wear | None = None
+    """Add up what contacts do to walls; None does not."""
+    blockage: Blockage | None = None
+    """Look for it, where there are `pipe` and `pressure`; None does not."""
+    segregation: bool = False
+    """Measure where in the pipe the aggregate is; needs `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
@@ -373,6 +408,11 @@ class Scene:
         planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
         if self.pressure is not None and self.pressure.wall not in planes:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
+        wanted = self.blockage is not None and (self.blockage.stop or self.blockage.travel is not None)
+        if wanted and not self.looks_for_blockage:
+            refuse("blockage", self.blockage, "needs a pipe and a pressure", "set Scene.pipe and Scene.pressure")
+        if self.segregation and self.pipe is None:
+            refuse("segregation", self.segregation, "needs a pipe", "set Scene.pipe")
         driven = [drive.group for drive in self.drives]
         if len(set(driven)) != len(driven):
             refuse("drives", driven, "may name each group once")
@@ -384,6 +424,11 @@ class Scene:
             refuse("rest.wall", self.rest.wall, f"must be a wall ({', '.join(names) or 'none'})")
         if self.hydration is not None and self.bonds is None:
             refuse("hydration", self.hydration, "needs bonds", "set Scene.bonds")
+
+    @property
+    def looks_for_blockage(self) -> bool:
+        """There is a pipe, and a piston's pressure, to look at."""
+        return self.blockage is not None and self.pipe is not None and self.pressure is not None
 
     def __repr__(self) -> str:
         placed = sum(len(bodies.positions) for bodies in self.bodies)

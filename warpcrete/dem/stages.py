@@ -64,7 +64,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     width = warp_width(b.device)
     stages = []
     if f.walls:
-        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, width)
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, f.wear, width)
         stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
@@ -91,7 +91,7 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
     if f.analytic:
-        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation)
+        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation, f.wear)
         stages.append(b.stage(walls, tasks(b, last - first), first=first, last=last, part=part))
     if f.meshes:
         stages.append(_meshes(b, part, first, last))
@@ -100,7 +100,7 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
 
 def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = False) -> Stage:
     b, f = batch, batch.features
-    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
+    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation, f.wear)
     named = {"first": first, "last": last, "part": part, **members(kernel, wall=b.walls, slot=b.slots)}
     return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
 

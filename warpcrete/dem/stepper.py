@@ -190,6 +190,7 @@ class Stepper:
             getattr(state.walls, name).zero_()
         state.spheres.dissipated_energy.zero_()
         state.spheres.broken.zero_()
+        state.slots.worn.zero_()
         self._estimated = False
         self.rebuild()
 

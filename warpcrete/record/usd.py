@@ -80,6 +80,8 @@ class UsdRecorder(Recorder):
 
         UsdGeom.Xform.Define(self._stage, "/Run/Walls")
         self._poses: dict[int, tuple[Any, Any]] = {}
+        self._painted: dict[int, Any] = {}
+        """Walls with a colour of each vertex, by number."""
         for number, wall in enumerate(walls):
             mesh = UsdGeom.Mesh.Define(self._stage, f"/Run/Walls/{_prim_name(wall.name, number, walls)}")
             points = wall.vertices.astype(np.float32)
@@ -92,6 +94,9 @@ class UsdRecorder(Recorder):
             mesh.CreateDisplayColorAttr([Gf.Vec3f(0.75, 0.43, 0.24) if wall.moves else Gf.Vec3f(0.59, 0.65, 0.7)])
             mesh.CreateDisplayOpacityAttr([1.0 if wall.moves else 0.15])
             mesh.ClearXformOpOrder()
+            if self._display.wall_colours(number) is not None:
+                self._painted[number] = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+                mesh.CreateDisplayOpacityAttr([0.6])
             self._poses[number] = (mesh.AddTranslateOp(), mesh.AddOrientOp(UsdGeom.XformOp.PrecisionDouble))
             if not wall.moves:
                 self._pose(number, Usd.TimeCode.Default())
@@ -115,7 +120,7 @@ class UsdRecorder(Recorder):
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
-        from pxr import Usd
+        from pxr import Usd, Vt
 
         code = Usd.TimeCode(time * FRAMES_PER_SECOND)
         self._first = code.GetValue() if self._first is None else self._first
@@ -123,6 +128,10 @@ class UsdRecorder(Recorder):
         self._bodies.frame(self._display, code)
         for number in self._moving:
             self._pose(number, code)
+        for number, painted in self._painted.items():
+            colours = self._display.wall_colours(number)
+            assert colours is not None
+            painted.Set(Vt.Vec3fArray.FromNumpy(colours.astype(np.float32) / 255), code)
 
     def _pose(self, number: int, code: Any) -> None:
         from pxr import Gf
