@@ -23,8 +23,8 @@ from .laws import Contact, ContactLaw
 
 __all__ = [
     "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall",
-    "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene", "Settle",
-    "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
+    "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene",
+    "Settle", "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
