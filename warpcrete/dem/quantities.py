@@ -15,6 +15,7 @@ from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
+from .stations import StationLog, losses
 
 WINDOW = 0.2
 """Part of the travel, at its end, over which the pressure at the end is averaged."""
@@ -33,6 +34,14 @@ class Known:
     """Of all bodies [kg]."""
     contacts: ContactSums
     """At the end, coordination number included."""
+    log: StationLog | None = None
+    """What was measured along the pipe."""
+
+    def along(self, name: str) -> float | None:
+        """What stations along the pipe came to, by a name of :func:`warpcrete.dem.stations.losses`."""
+        if self.log is None or not self.pumped:
+            return None
+        return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
 
     @property
     def pumped(self) -> bool:
@@ -133,6 +142,18 @@ def _plateau_words(run: Run) -> str:
     return f"{number(run.result['plateau_pressure']) / 1e3:.2f} kPa{_beside(run, 'plateau')}"
 
 
+def _gradient_words(name: str):
+    def words(run: Run) -> str:
+        return f"{number(run.result[name]) / 1e3:.3g} kPa/m"
+
+    return words
+
+
+def _middle_words(run: Run) -> str:
+    loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
+    return f"{loss:.3g} kPa, {ratio:.2f} times straight pipe of that length beside it"
+
+
 def no_plateau(run: Run) -> str:
     """Why a run with a pressure has no plateau; empty if it has one."""
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
@@ -167,6 +188,16 @@ QUANTITIES = (
     Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std())),
     Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0])),
     Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean())),
+    Quantity("gradient", "Pa/m", lambda k: k.along("gradient"), "friction", _gradient_words("gradient"), True),
+    Quantity("upstream_gradient", "Pa/m", lambda k: k.along("upstream_gradient"), "friction upstream",
+             _gradient_words("upstream_gradient"), True),
+    Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper", _middle_words, True),
+    Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
+    Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
+             _gradient_words("downstream_gradient"), True),
+    Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress")),
+    Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress")),
+    Quantity("downstream_wall_stress", "Pa", lambda k: k.along("downstream_wall_stress")),
     Quantity("coordination_number", "1", lambda k: k.contacts.coordination_number),
     Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
     Quantity("momentum_balance_error", "1", momentum_balance),

@@ -16,6 +16,7 @@ from .measures import measured
 from .model import Model
 from .probes import both_sums
 from .state import State
+from .stations import StationLog
 
 UNITS = {
     "time": "s",
@@ -68,6 +69,9 @@ class Sampler:
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.rows: list[dict[str, float]] = []
+        stations = model.scene.stations
+        self.log = StationLog(stations) if stations is not None else None
+        """What is measured along the pipe, where the scene asks for it."""
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -84,6 +88,7 @@ class Sampler:
             "half_time": self._half_time,
             "power": self._power,
             "drive_work": self._drive_work,
+            **({} if self.log is None else {"stations": np.array(self.log.samples)}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -92,6 +97,8 @@ class Sampler:
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
         self._drive_work = float(state["drive_work"])
+        if self.log is not None:
+            self.log.samples = list(np.asarray(state["stations"], dtype=float))
 
     def series(self) -> dict[str, np.ndarray]:
         """Columns by name."""
@@ -129,6 +136,8 @@ class Sampler:
         }
         if scene.vessel is not None and state.sphere_count:
             row |= measured(scene.vessel, state.spheres.position.numpy(), state.spheres.velocity.numpy())
+        if self.log is not None:
+            self.log.add(model, state, row.get("travel", 0.0))
         for axis, letter in enumerate(AXES):
             row[f"momentum_{letter}"] = float(bodies.momentum[axis])
             row[f"drive_{letter}"] = float(bodies.drive_force[axis])

@@ -19,11 +19,12 @@ from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Pres
 from .clumps import ClumpTemplate
 from .containers import Fill
 from .laws import Contact, ContactLaw
+from .slices import Stations
 
 __all__ = [
     "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
-    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Vessel", "Wall", "Watch",
+    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "Stations",
+    "TimeStep", "Vessel", "Wall", "Watch",
 ]  # fmt: skip
 
 
@@ -305,6 +306,8 @@ class Scene:
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
+    stations: Stations | None = None
+    """Where stresses, solid fraction and velocities along a pipe are measured at every sample."""
     published: Published | None = None
     remarks: tuple[str, ...] = ()
     """What the scene simplifies, to be told before a run."""

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.units import quantity
 from ..mps.mixes import CONSTANTS
 from ..mps.theory import Concrete
-from .lines import Part, PipeLine, layered
+from .lines import Part, PipeLine, friction, layered
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class LineResult:
     def ends(self) -> list[Callable[[Loss], float]]:
         """What a part loses at the two ends of the band [Pa]."""
         others = [layered(self.concrete, factor) for factor in (1 / self.layer_factor, self.layer_factor)]
-        return [lambda x, c=c: x.friction * x.part.friction(c, self.flow) / x.theory + x.weight for c in others]
+        return [lambda x, c=c: x.friction * friction(x.part, c, self.flow) / x.theory + x.weight for c in others]
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses.

@@ -19,7 +19,7 @@ from ..record.checks import CheckRecorder, failed_checks
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from .line_result import LineResult, Loss, draw, lines_of
-from .lines import Part, PipeLine
+from .lines import Part, PipeLine, friction
 
 GRAVITY = 9.81
 """[m/s2]"""
@@ -90,7 +90,7 @@ def run_line(
         found[key] = _lost(part, result)
     losses = []
     for part in line.parts:
-        theory = part.friction(concrete, flow)
+        theory = friction(part, concrete, flow)
         ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed)
