@@ -14,6 +14,9 @@ from ..geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
 from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
+SOWN = 0.95
+"""Part of the local radius within which aggregates are sown where a pipe is made of eight facets or more."""
+
 
 def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
     """Low-discrepancy points in the unit cube (Roberts' R3 sequence), randomly shifted; shape (count, 3)."""
@@ -81,7 +84,7 @@ class PipeContainer:
         radius: np.ndarray | float = self.radius
         if self.bores is not None:
             s = self.bores.spread(u[:, 0], self.length)
-            radius = self.bores.at(s)
+            radius = SOWN * self.bores.at(s)
         r = radius * np.sqrt(u[:, 1])
         angle = 2 * np.pi * u[:, 2]
         points, _, normal, side = self.axis.frame(s)

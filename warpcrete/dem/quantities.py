@@ -195,6 +195,8 @@ QUANTITIES = (
     Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
     Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
              _gradient_words("downstream_gradient"), True),
+    Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "leaves over enters",
+             lambda run: f"{100 * run.result['flux_ratio']:.0f} %"),
     Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress")),
     Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress")),
     Quantity("downstream_wall_stress", "Pa", lambda k: k.along("downstream_wall_stress")),

@@ -7,6 +7,7 @@ of a contact that reaches from one slice into the next each gets its part of the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -88,44 +89,62 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     return found
 
 
-def losses(
-    stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]
-) -> dict[str, float | None]:
+def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
     """What friction takes along a pipe, from a table of stations; weight is left out.
 
-    The gradient [Pa/m] and wall stress [Pa] of a straight pipe, or those of the straight stretches before and behind
+    Of a straight pipe the gradient [Pa/m] and wall stress [Pa]; else those of the straight stretches before and behind
     the middle, by lines through what lies a radius off their ends; what the stress along the pipe loses between these
-    lines over the middle [Pa]; and that over what the mean of both gradients takes. Empty where too few slices are
-    full.
+    lines over the middle [Pa]; and that over what a straight pipe would take there. Friction rises with pressure, so
+    that of the straight pipe is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact where it
+    rises linearly. `flux_ratio` is what leaves over what enters, by solid volume. Empty where too few slices are full.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
     steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(s)
-    first = int(np.argmax(np.isfinite(slope)))
-    weight = np.concatenate([[0.0], np.cumsum(np.where(np.arange(len(steps)) < first, 0.0, steps))])
-    stress = table["axial_stress"] - weight
+    weight = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(steps), steps, 0.0))])
+    stress, shear = table["axial_stress"] - weight, table["wall_stress"]
+    flux = table["velocity"] * table["solid_fraction"] * table["radius"] ** 2
 
-    def line(low: float, high: float) -> tuple[np.ndarray, float] | None:
+    def lines(low: float, high: float) -> _Straight | None:
         clear = CLEAR * stations.bores.at([low, high])
         here = (s > low + clear[0]) & (s < high - clear[1]) & np.isfinite(stress)
         if np.count_nonzero(here) < FEWEST:
             return None
-        return np.polyfit(s[here], stress[here], 1), float(table["wall_stress"][here].mean())
+        return _Straight(*(np.polyfit(s[here], each[here], 1) for each in (stress, shear)),
+                         float(shear[here].mean()), float(flux[here].mean()))  # fmt: skip
 
     if stations.middle is None:
-        found = line(stations.edges[0], stations.edges[-1])
-        return {} if found is None else {"gradient": -found[0][0], "wall_stress": found[1]}
+        found = lines(stations.edges[0], stations.edges[-1])
+        return {} if found is None else {"gradient": -found.stress[0], "wall_stress": found.mean}
     begin, end = stations.middle
-    before, behind = line(stations.edges[0], begin), line(end, stations.edges[-1])
-    result: dict[str, float | None] = {}
+    before, behind = lines(stations.edges[0], begin), lines(end, stations.edges[-1])
+    result: dict[str, float] = {}
     for name, found in (("upstream", before), ("downstream", behind)):
         if found is not None:
-            result |= {f"{name}_gradient": -found[0][0], f"{name}_wall_stress": found[1]}
+            result |= {f"{name}_gradient": -found.stress[0], f"{name}_wall_stress": found.mean}
     if before is not None and behind is not None:
-        loss = float(np.polyval(before[0], begin) - np.polyval(behind[0], end))
-        result["middle_loss"] = loss
-        result["middle_ratio"] = loss / (-0.5 * (before[0][0] + behind[0][0]) * (end - begin))
+        loss = float(np.polyval(before.stress, begin) - np.polyval(behind.stress, end))
+        there = [2 * np.polyval(line.shear, place) / stations.bores.at(place)
+                 for line, place in ((before, begin), (behind, end))]  # fmt: skip
+        result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
+        if min(there) > 0:
+            result["middle_ratio"] = loss / (_logarithmic_mean(*map(float, there)) * (end - begin))
     return result
+
+
+@dataclass
+class _Straight:
+    """Lines through what stations of a straight stretch have, over the arc length; means."""
+
+    stress: np.ndarray
+    shear: np.ndarray
+    mean: float
+    """Of the stress on the wall [Pa]."""
+    flux: float
+
+
+def _logarithmic_mean(a: float, b: float) -> float:
+    return a if abs(a - b) < 1e-6 * a else (a - b) / math.log(a / b)
 
 
 class _Spheres:
@@ -188,12 +207,13 @@ def _stresses(stations: Stations, model: Model, state: State, spheres: _Spheres)
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.placed(spheres.middle)[1]
-    push = _pair_pushes(model, state)
+    _probe(model, state)
+    push = _arrays(state)[0].numpy()
     i, j, place = listed_pairs(state)
     number, body = state.spheres.id.numpy(), state.spheres.body.numpy()
     order = np.lexsort((np.maximum(number[i], number[j]), np.minimum(number[i], number[j])))
     i, j, place = i[order], j[order], place[order]
-    force = push[place]
+    force = push[place].astype(float)
     acts = np.any(force != 0, axis=1)
     first, second, force = body[i[acts]], body[j[acts]], force[acts]
     branch = spheres.middle[second] - spheres.middle[first]
@@ -237,12 +257,6 @@ def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[t
         slices = first + step
         here = np.flatnonzero((slices <= last) & (slices >= 0) & (slices < len(edges) - 1))
         yield here, slices[here]
-
-
-def _pair_pushes(model: Model, state: State) -> np.ndarray:
-    """Force on the first sphere of every entry of the lists that counts [N], shape (entries, 3)."""
-    _probe(model, state)
-    return _arrays(state)[0].numpy().astype(float)
 
 
 def _wall_pushes(model: Model, state: State, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
