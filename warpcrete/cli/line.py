@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..core.amounts import amount
-from ..core.files import next_folder
+from ..core.concretes import concrete as concrete_named
+from ..core.files import check_new, next_folder
 from ..core.progress import ProgressBar
 from ..mps.mixes import concrete_of
-from ..studies.line_result import lines_of
+from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements
+from ..studies.line_result import LineResult, lines_of
 from ..studies.line_run import run_line
-from ..studies.lines import read_line
+from ..studies.lines import PipeLine, friction, read_line
 from .run import CHECK_FAILED, INTERRUPTED
 
 
 def run(
-    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int,
-    out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
+    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int, method: str,
+    shapes: str, coarse: float | None, seeds: int, out: Path | None, known: Path | None, device: str | None,
+    threads: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -26,25 +30,51 @@ def run(
         raise click.UsageError("flow: neither the line nor an option has it; --flow '30 m3/h'")
     if concrete is None and given.concrete is None:
         raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
+    if theory and method != "flow":
+        raise click.UsageError("theory: means nothing with --method; leave out one")
+    elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds)
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
-    chosen = concrete_of(str(concrete or given.concrete))
+    name = str(concrete or given.concrete)
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
+    where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
+    found, packed = None, None
     try:
-        found = run_line(
-            given, chosen, rate, out=folder, known=known, simulate=not theory,
-            cells=cells, layer_factor=layer_factor, device=device, threads=threads,
-            progress=None if quiet else progress,
-        )  # fmt: skip
+        if method == "dem" and folder is not None:
+            check_new(folder)
+        if method != "dem":
+            found = run_line(
+                given, concrete_of(name), rate, simulate=not theory, cells=cells, layer_factor=layer_factor,
+                progress=None if quiet else progress, **where,
+            )  # fmt: skip
+        if method != "flow":
+            tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
+            packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
     except KeyboardInterrupt:
         if folder is not None and (folder / "parts").is_dir():
             click.echo(f"interrupted; parts that are finished are taken by: warpcrete line {line} --known {folder}")
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
-    click.echo("\n" + "\n".join(lines_of(found)))
-    if found.folder is not None:
-        click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
-    if found.failed:
+    _print(given, name, rate, found, packed, folder)
+
+
+def _print(
+    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path | None
+) -> None:
+    if found is not None:
+        click.echo("\n" + "\n".join(lines_of(found)))
+    if packed is not None:
+        others = {} if found is None else {"flow": [x.friction for x in found.losses]}
+        if concrete_named(name).flow:
+            others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
+        text = lines_of_elements(packed, others)
+        click.echo("\n" + "\n".join(text))
+        if folder is not None:
+            (folder / "line-dem.md").write_text("\n".join(text) + "\n")
+    took = sum(sum(each.took.values()) for each in (found, packed) if each is not None)
+    if folder is not None:
+        click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")
+    if (found is not None and found.failed) or (packed is not None and packed.failed):
         raise SystemExit(CHECK_FAILED)

@@ -75,10 +75,11 @@ def run_line(
         def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
-        called = _folder_name(part, cells)
-        result = None if known is None else _known(known / "parts", scenes[key])
+        called = folder_name(part) + ("" if part.kind == "straight" else f"-cells-{cells}")
+        folder = None if known is None else known_folder(known / "parts", scenes[key])
+        result = None if folder is None else read_json(folder / "result.json")
         if result is None:
-            recorders: list[Recorder] = [] if out is None else [TableRecorder(_free(out / "parts" / called))]
+            recorders: list[Recorder] = [] if out is None else [TableRecorder(free_folder(out / "parts" / called))]
             recorders.append(CheckRecorder(modules()[cases[key][0]].check))
             run = Simulation(scenes[key], device=device, threads=threads, recorders=recorders, progress=hear).run()
             if not run.finished:
@@ -123,26 +124,26 @@ def _lost(part: Part, result: Mapping[str, Any]) -> float:
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
 
 
-def _folder_name(part: Part, cells: int) -> str:
+def folder_name(part: Part) -> str:
+    """Of the runs of a kind of part."""
     if part.kind == "straight":
         return f"straight-{1e3 * part.diameter:g}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
-    return f"{part.kind}-{1e3 * part.diameter:g}-{shape}-cells-{cells}"
+    return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
 
 
-def _known(folder: Path, scene: Any) -> dict[str, Any] | None:
-    """result.json of a finished run of that very scene in a folder of runs."""
+def known_folder(folder: Path, scene: Any) -> Path | None:
+    """Of a finished run of that very scene in a folder of runs."""
     for here in sorted(folder.iterdir()):
-        record, result = here / "scene.json", here / "result.json"
-        if record.is_file() and result.is_file():
+        record = here / "scene.json"
+        if record.is_file() and (here / "result.json").is_file():
             same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
-            found = read_json(result)
-            if same and found.get("finished"):
-                return found
+            if same and read_json(here / "result.json").get("finished"):
+                return here
     return None
 
 
-def _free(folder: Path) -> Path:
+def free_folder(folder: Path) -> Path:
     """The folder, or one with a number behind where two kinds of part round to the same name."""
     count, free = 1, folder
     while free.exists():
