@@ -108,10 +108,14 @@ class Packed:
             ratio = self.ratios.get(part.alike, 1.0)
             begin, end = self.laws[part.diameter], self.laws[part.outlet]
             for step in range(STEPS):
+                # From the part's end on, by the gradient in the middle of each step.
                 along = 1 - (step + 0.5) / STEPS
                 there = pressure + friction + weight * (1 - along)
-                gradient = along * end.gradient(there) + (1 - along) * begin.gradient(there)
-                friction += ratio * gradient * part.length / STEPS
+                for _ in range(2):
+                    gradient = ratio * (along * end.gradient(there) + (1 - along) * begin.gradient(there))
+                    lost = gradient * part.length / STEPS
+                    there = pressure + friction + 0.5 * lost + weight * (1 - along)
+                friction += lost
             pressure += friction + weight
             found.append((friction, weight))
         return found[::-1]
@@ -247,6 +251,8 @@ def _parameters(
     own["modulus"] = elements.stiffer * given.modulus
     narrow = min(min(each.diameter, each.outlet) for each in line.parts)
     factor = elements.coarse or max(1.0, WIDEST * narrow / given.size_max)
+    # The plug's balls, which are small, would set the time step.
+    own["plug_ball"] = max(factor * given.plug_ball, min(factor * given.size_min, narrow / 5))
     sizes = {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
     return own | (sizes if given.sizes in ("gaussian", "uniform") else {})
 
