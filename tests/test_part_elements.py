@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,13 @@ from warpcrete.dem.scene import Bodies, Scene, Stations
 from warpcrete.dem.stations import COLUMNS, losses, measured
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
+from warpcrete.geometry.curves import through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.geometry.walls import PipeWall
+from warpcrete.mps.mixes import concrete_of
 from warpcrete.studies.line_elements import Packed, WallLaw
-from warpcrete.studies.lines import line_of
+from warpcrete.studies.line_run import run_line
+from warpcrete.studies.lines import friction, layered, line_of
 
 SMALL = dict(diameter=0.08, straight=0.1, size_min=12e-3, size_max=20e-3, travel=0.04, settle=0.1, gravity=0.0,
              flow=1e-3, plug_ball=14e-3)  # fmt: skip
@@ -67,16 +71,16 @@ def test_a_pipe_that_bends_in_two_planes_is_a_closed_surface_of_its_volume():
     last = len(vertices) - 64
     around = np.stack([np.arange(64), (np.arange(64) + 1) % 64], axis=1)
     caps = [np.insert(around + first, 2, len(vertices) + k, axis=1) for k, first in enumerate((0, last))]
-    mesh = trimesh.Trimesh(np.concatenate([vertices, [vertices[:64].mean(0), vertices[last:].mean(0)]]),
-                           np.concatenate([faces, *caps]))  # fmt: skip
-    mesh.fix_normals()
-    assert mesh.is_watertight and abs(mesh.volume) == pytest.approx(bores.volume(0, axis.length), rel=2e-3)
+    closed = np.concatenate([vertices, [vertices[:64].mean(0), vertices[last:].mean(0)]])
+    ways = [np.concatenate([faces, one, other[:, ::-1]]) for one, other in (caps, caps[::-1])]
+    (mesh,) = [m for m in (trimesh.Trimesh(closed, way) for way in ways) if m.is_winding_consistent]
+    assert mesh.is_watertight and -mesh.volume == pytest.approx(bores.volume(0, axis.length), rel=2e-3)
 
 
 @pytest.mark.parametrize("course", COURSES)
 def test_nothing_lies_outside_the_true_wall_at_the_start(course):
     """Cones and bends included: every centre inside, and as full everywhere."""
-    scene = scenes.part_dem(**SMALL | COURSES[course])
+    scene: Any = scenes.part_dem(**SMALL | COURSES[course])
     bodies, report = pack(scene.fill, contact=scene.contact, seed=0, device="cpu")
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     assert enclosed(wall, scene.pipe.axis, bodies.position).all() and report.bodies > 150
@@ -104,7 +108,7 @@ def test_every_part_is_pushed_through_and_measured(device, course):
     )
 
 
-def two_spheres(device, apart=0.019, **changes):
+def two_spheres(device, apart=0.019, **changes) -> Any:
     """Two spheres on the axis of a pipe along x, and slices round their middle; what is measured, and the overlap."""
     axis = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
     scene = Scene(
@@ -145,11 +149,11 @@ def test_a_column_at_rest_bears_what_stands_on_it(device, wall):
     frictionless = dict(concrete="zhan-table1", bonds=False, friction=0.0, wall_friction=0.0, modulus=1e6)
     given = dict(SMALL, **frictionless, settle=2.0, unit="vertical", straight=0.15, plug="plate", slices=1.5)
     given |= {"gravity": 9.81, "plug_pressure": 200.0}
-    scene = scenes.part_dem(**given)
+    scene: Any = scenes.part_dem(**given)
     if wall == "mesh":
         pipe = scenes.part_dem(**given | {"outlet_diameter": 0.0800001, "taper": 0.05, "straight": 0.125}).walls[-1]
         scene = dataclasses.replace(scene, walls=(*scene.walls[:-1], pipe))
-    simulation = Simulation(scene, device=device)
+    simulation: Any = Simulation(scene, device=device)
     simulation.prepare()
     found = measured(scene.stations, simulation.model, simulation.state, 0.0)
     state, area = simulation.state, math.pi * 0.04**2
@@ -225,7 +229,7 @@ def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_pa
 
 def test_a_scene_without_stations_has_no_code_or_memory_for_them(device):
     simulation = two_spheres(device)
-    plain = Simulation(dataclasses.replace(simulation.scene, stations=None), device=device)
+    plain: Any = Simulation(dataclasses.replace(simulation.scene, stations=None), device=device)
     plain.prepare()
     plain.measure()
     assert "pair pushes" not in plain.state._scratch and plain.sampler.log is None
@@ -315,3 +319,54 @@ def test_line_by_elements_refuses(tmp_path):
         done = CliRunner().invoke(cli, command)
         assert done.exit_code != 0 and told in str(done.exception) + done.output, done.output
         assert not (tmp_path / "out").exists()
+
+
+def test_a_hose_through_points_of_a_circle_is_that_circle():
+    angle = np.linspace(0, 1.2, 5)
+    points = 2.0 * np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=1)
+    pieces = through(points, np.array([1.0, 0.0, 0.0]))
+    axis = Axis((0, 0, 0), (1, 0, 0), tuple(pieces))
+    assert axis.length == pytest.approx(2.4, rel=1e-9) and all(isinstance(piece, Arc) for piece in pieces)
+    assert axis.at(axis.length)[0][0] == pytest.approx(points[-1], abs=1e-9)
+    twisted = np.array([[0, 0, 0], [1, 0.1, 0.2], [2, 0.5, 0.1], [2.5, 1.2, -0.6]], dtype=float)
+    axis = Axis((0, 0, 0), (1, 0, 0), tuple(through(twisted, np.array([1.0, 0.0, 0.0]))))
+    # It passes every point, though its arcs lie in many planes.
+    assert np.linalg.norm(axis.nearest(twisted) - twisted, axis=1).max() < 1e-9
+
+
+def test_a_hose_counts_its_length_its_bends_and_its_layer():
+    points = [[1, 0, -0.2], [2, 0.5, -1], [2.2, 1.5, -1.5]]
+    line = line_of({"diameter": 0.1, "parts": [{"straight": 1}, {"hose": {"points": points, "layer": 0.5}}]})
+    hose = line.parts[1]
+    assert hose.rise == -1.5 and 1.0 < hose.curving < 1.125 and hose.length > 3.0
+    assert line.axis.at(line.axis.length)[0][0] == pytest.approx([3.2, 1.5, -1.5], abs=1e-9)
+    concrete = concrete_of("no1")
+    straight = dataclasses.replace(hose, curving=1.0, layer=1.0)
+    plain = friction(straight, concrete, 0.002)
+    assert friction(hose, concrete, 0.002) < hose.curving * plain
+    assert friction(hose, layered(concrete, 2.0), 0.002) == pytest.approx(hose.curving * plain, rel=1e-9)
+    found = run_line(line, concrete, 0.002, simulate=False)
+    assert found.losses[1].weight == pytest.approx(-1.5 * 9.81 * concrete.density)
+
+
+@pytest.mark.parametrize(
+    "said, told",
+    [
+        ({"points": [[0, 1, 0], [0, 2, 0]]}, "lead 90 degrees away from where the line goes"),
+        ({"points": [[1, 0, 0], [1.1, 0.1, 0], [1, 0.2, 0]]}, "bend it to a radius of"),
+        ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter apart"),
+        ({"points": [[1, 0]]}, "must each be three lengths"),
+        ({"points": "there"}, "must be a list of points"),
+        ({"points": [[1, 0, "2 bar"]]}, "must be a number with one of m"),
+        ({"points": [[1, 0, 0]], "layer": 0}, "layer = 0"),
+    ],
+)
+def test_hoses_that_do_not_fit_are_refused(said, told):
+    with pytest.raises(SceneError, match=told):
+        line_of({"diameter": 0.1, "parts": [{"straight": 1}, {"hose": said}]})
+
+
+def test_a_hose_that_meets_the_line_is_refused():
+    points = [[1, 0.2, 0], [1.5, 1, 0], [1, 1.8, 0], [0, 1, 0], [-0.5, -0.5, 0]]
+    with pytest.raises(SceneError, match="the line crosses itself"):
+        line_of({"diameter": 0.1, "parts": [{"straight": 2}, {"hose": {"points": points}}]})

@@ -16,6 +16,7 @@ UNITS = {
     "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "l/s": 1e-3, "L/s": 1e-3, "l/min": 1e-3 / 60,
              "L/min": 1e-3 / 60},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},
+    "1": {"": 1.0, "1": 1.0},
     "degrees": {"degrees": 1.0, "deg": 1.0, "°": 1.0, "rad": 180 / math.pi},
 }  # fmt: skip
 """By the unit in which the program has an amount, what one of each unit that people write is in it."""

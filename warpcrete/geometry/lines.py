@@ -15,6 +15,7 @@ from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from .axis import Arc, Axis, Line
 from .bores import Bores
+from .curves import begins, through
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
@@ -22,6 +23,7 @@ PARTS = {
     "straight": ("length", "rise", "diameter"),
     "bend": ("angle", "radius", "to"),
     "reducer": ("to", "length"),
+    "hose": ("points", "layer"),
 }
 """Kinds of parts, and what each may say."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
@@ -30,7 +32,15 @@ SHARPEST = 135.0
 """Bend that one part may make [degrees]."""
 BLOCKING = 3.0
 """Diameters over largest stones below which a pipe is known to block (ACI 304.2R asks for 3 of crushed stone)."""
+CURVED = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
+"""Diameter over radius of a bend, and what it takes over straight pipe of its length: flows of no1 through bends of 150
+mm at 30 m3/h (the most of three concretes); a hose is counted by it."""
+ASKEW = 20.0
+"""Angle between the line and where a hose's points begin to lead, up to which it is taken to begin along the line
+[degrees]."""
 UP = np.array([0.0, 0.0, 1.0])
+PLACES = {"bend": 9, "hose": 33}
+"""Along a part, between which it is taken to be straight when a line is looked at for crossings."""
 HALF_TURN = 0.51 * math.pi
 """Way along a line over the pipe's diameter within which it is near itself, however it bends."""
 
@@ -54,6 +64,15 @@ class Part:
     """Of a bend [m]."""
     angle: float = 0.0
     """Of a bend [degrees]."""
+    curving: float = 1.0
+    """Of a hose: what it takes over straight pipe of its length."""
+    layer: float = 1.0
+    """Of a hose: its slip layer's resistance over that of a pipe."""
+
+    @property
+    def by_length(self) -> bool:
+        """Is what it loses that of so many metres of pipe?"""
+        return self.kind in ("straight", "hose")
 
     @property
     def label(self) -> str:
@@ -62,6 +81,8 @@ class Part:
             return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
         if self.kind == "reducer":
             return f"{1e3 * self.diameter:g} to {1e3 * self.outlet:g} mm"
+        if self.kind == "hose":
+            return f"hose, rises {self.rise:.3g} m"
         slope = self.rise / self.length
         way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", rises {self.rise:.3g} m")
         return f"straight{way}"
@@ -69,8 +90,8 @@ class Part:
     @property
     def alike(self) -> tuple[Any, ...]:
         """The same for parts that lose the same, a straight one by the metre."""
-        if self.kind == "straight":
-            return (self.kind, self.diameter)
+        if self.by_length:
+            return ("straight", self.diameter, self.layer)
         return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle)
 
 
@@ -209,9 +230,13 @@ class _Course:
                 refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
             return amount(f"part {number}, {kind}: {key}", said.get(key, default), unit)
 
-        part, piece = getattr(self, f"_{kind}")(number, said, get)
+        if kind == "hose":
+            part, pieces = self._hose(number, said)
+        else:
+            part, piece = getattr(self, f"_{kind}")(number, said, get)
+            pieces = [piece]
         self.parts.append(part)
-        self.pieces.append(piece)
+        self.pieces += pieces
         self.diameter = part.outlet
 
     def _straight(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
@@ -252,13 +277,47 @@ class _Course:
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
         piece = Arc(radius, turn, (float(across[0]), float(across[1]), float(across[2])))
-        tangent = math.cos(turn) * self.tangent + math.sin(turn) * across
+        self._turn(math.cos(turn) * self.tangent + math.sin(turn) * across)
+        return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), piece
+
+    def _turn(self, tangent: np.ndarray) -> None:
+        """Go on in another direction."""
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
         level = self.tangent * [1, 1, 0]
         if np.linalg.norm(level) > 1e-6:
             self.heading = level / np.linalg.norm(level)
-        return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), piece
+
+    def _hose(self, number: int, said: Mapping[str, Any]) -> tuple[Part, list[Line | Arc]]:
+        """A curve through points, which are told from where the hose begins: ahead, to the left and up."""
+        field = f"part {number}, hose"
+        given = said.get("points")
+        if not isinstance(given, Sequence) or isinstance(given, str) or not given:
+            refuse(f"{field}: points", given, "must be a list of points", "as '[[1, 0, 0], [2, 0, -0.5]]'")
+        if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
+            refuse(f"{field}: points", given, "must each be three lengths: ahead, to the left, up")
+        local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
+        if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
+            refuse(f"{field}: points", given, "must be half a diameter apart, at least")
+        layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
+        positive(f"{field}: layer", layer, "")
+        points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
+        askew = math.degrees(math.acos(float(np.clip(begins(points) @ self.tangent, -1, 1))))
+        if askew > ASKEW:
+            refuse(f"{field}: points", given, f"lead {askew:.0f} degrees away from where the line goes",
+                   "put a bend before it, or move the first points")  # fmt: skip
+        pieces = through(points, self.tangent)
+        length = sum(piece.length for piece in pieces)
+        bends = [piece for piece in pieces if isinstance(piece, Arc)]
+        sharpest = min((piece.radius for piece in bends), default=math.inf)
+        if self.diameter > CURVED[0][-1] * sharpest:
+            refuse(f"{field}: points", given, f"bend it to a radius of {sharpest:.3g} m",
+                   f"keep it above {self.diameter / CURVED[0][-1]:.3g} m")  # fmt: skip
+        more = sum(arc.length * float(np.interp(self.diameter / arc.radius, *CURVED)) for arc in bends) / length
+        rise = float(points[-1, 2])
+        end = Axis((0.0, 0.0, 0.0), tuple(self.tangent.tolist()), tuple(pieces)).at(length)[1][0]
+        self._turn(end)
+        return Part(number, "hose", self.diameter, length, rise, self.diameter, curving=1 + more, layer=layer), pieces
 
     def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
         outlet, length = get("to", "m"), get("length", "m")
@@ -279,7 +338,7 @@ def _check_crossing(line: PipeLine) -> None:
     rows: list[tuple[int, float, float, float]] = []
     edges = []
     for part in line.parts:
-        s = np.linspace(begin, begin + part.length, 9 if part.kind == "bend" else 2)
+        s = np.linspace(begin, begin + part.length, PLACES.get(part.kind, 2))
         points, _ = line.axis.at(s)
         wide = max(part.diameter, part.outlet)
         rows += [(part.number, s[k], s[k + 1], wide) for k in range(len(s) - 1)]

@@ -99,26 +99,32 @@ class Packed:
     density: float
     """Of what fills the pipe, as the elements weigh it [kg/m3]."""
 
+    def ratio(self, part: Part) -> float:
+        """What a part loses over straight pipe."""
+        return self.ratios.get(part.alike, part.curving)
+
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
         """Friction and weight of each part of a line [Pa], from its start to its end."""
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
             weight = self.density * GRAVITY * part.rise
-            ratio = self.ratios.get(part.alike, 1.0)
-            begin, end = self.laws[part.diameter], self.laws[part.outlet]
-            for step in range(STEPS):
+            ratio = self.ratio(part)
+            step = part.length / STEPS
+            for place in range(STEPS):
                 # From the part's end on, by the gradient in the middle of each step.
-                along = 1 - (step + 0.5) / STEPS
+                along = 1 - (place + 0.5) / STEPS
                 there = pressure + friction + weight * (1 - along)
-                for _ in range(2):
-                    gradient = ratio * (along * end.gradient(there) + (1 - along) * begin.gradient(there))
-                    lost = gradient * part.length / STEPS
-                    there = pressure + friction + 0.5 * lost + weight * (1 - along)
-                friction += lost
+                ahead = there + 0.5 * step * ratio * self._gradient(part, along, there)
+                friction += step * ratio * self._gradient(part, along, ahead)
             pressure += friction + weight
             found.append((friction, weight))
         return found[::-1]
+
+    def _gradient(self, part: Part, along: float, pressure: float) -> float:
+        """Of straight pipe as wide as a part at this fraction of its length [Pa/m]."""
+        begin, end = (self.laws[diameter].gradient(pressure) for diameter in (part.diameter, part.outlet))
+        return along * end + (1 - along) * begin
 
 
 @dataclass(repr=False)
@@ -170,7 +176,7 @@ class ElementLine:
             "failed_checks": self.failed,
             "parts": [
                 {"number": part.number, "what": part.label, "friction": quantity(friction, "Pa"),
-                 "weight": quantity(weight, "Pa"), "ratios": [each.ratios.get(part.alike, 1.0) for each in self.packed]}
+                 "weight": quantity(weight, "Pa"), "ratios": [each.ratio(part) for each in self.packed]}
                 for part, friction, weight in zip(self.line.parts, self.frictions(), self.weights(), strict=True)
             ],
             "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
@@ -226,7 +232,7 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Kinds of parts, and straight pipe of every diameter."""
     for part in line.parts:
-        if part.kind != "straight":
+        if not part.by_length:
             yield part.alike, part
         for diameter in (part.diameter, part.outlet):
             straight = Part(part.number, "straight", diameter, 1.0, 0.0, diameter)
@@ -291,7 +297,7 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
     laws, ratios, densities = {}, {}, []
     for key, part in kinds.items():
         run = runs[key]
-        if part.kind == "straight":
+        if part.by_length:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
                 refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
@@ -307,6 +313,8 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
     """What a reader should know: of the line, of failed checks, and what the runs do not cover."""
     yield from found.line.remarks()
+    if any(part.layer != 1 for part in found.line.parts):
+        yield "the layer of a hose is that of a pipe by elements"
     for name, bad in found.failed.items():
         yield from (f"check FAILED in {name}: {what}" for what in bad)
     for (key, seed), run in runs.items():

@@ -174,7 +174,7 @@ def draw(result: LineResult) -> Any:
     axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
     begin = 0.0
     for x in result.losses:
-        if x.part.kind != "straight":
+        if not x.part.by_length:
             axes.axvspan(begin, begin + x.part.length, color="C1" if x.part.kind == "bend" else "C2", alpha=0.35,
                          linewidth=0)  # fmt: skip
         begin += x.part.length

@@ -19,7 +19,7 @@ from ..record.checks import CheckRecorder, failed_checks
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from .line_result import LineResult, Loss, draw, lines_of
-from .lines import Part, PipeLine, friction
+from .lines import Part, PipeLine, friction, layered
 
 GRAVITY = 9.81
 """[m/s2]"""
@@ -75,7 +75,7 @@ def run_line(
         def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
-        called = folder_name(part) + ("" if part.kind == "straight" else f"-cells-{cells}")
+        called = folder_name(part) + ("" if part.by_length else f"-cells-{cells}")
         folder = None if known is None else known_folder(known / "parts", scenes[key])
         result = None if folder is None else read_json(folder / "result.json")
         if result is None:
@@ -92,7 +92,7 @@ def run_line(
     losses = []
     for part in line.parts:
         theory = friction(part, concrete, flow)
-        ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
+        ours = theory if not simulate else found[part.alike] * (part.length * part.curving if part.by_length else 1.0)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed)
     if out is not None:
@@ -102,9 +102,10 @@ def run_line(
 
 def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
     """Scene and parameters that a kind of part is simulated by, without weight."""
+    concrete = layered(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
-    if part.kind == "straight":
+    if part.by_length:
         spacing = part.diameter / TUBE_CELLS
         step = min(5e-4, 0.4 * spacing / (flow / (math.pi * part.diameter**2 / 4)))
         return "tube", {**own, "ends": "periodic", "spacing": spacing, "time_step": step}
@@ -119,15 +120,16 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
 
 def _lost(part: Part, result: Mapping[str, Any]) -> float:
     """Friction of a bend or reducer [Pa], or of a straight pipe by the metre [Pa/m], from its run."""
-    if part.kind == "straight":
+    if part.by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
 
 
 def folder_name(part: Part) -> str:
     """Of the runs of a kind of part."""
-    if part.kind == "straight":
-        return f"straight-{1e3 * part.diameter:g}"
+    if part.by_length:
+        layer = "" if part.layer == 1 else f"-layer-{part.layer:g}"
+        return f"straight-{1e3 * part.diameter:g}{layer}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
     return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
 

@@ -16,11 +16,12 @@ FINE = 200
 
 
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
-    """What the closed form of a straight pipe of a part's bore and length loses [Pa]."""
+    """What the closed form of a straight pipe of a part's bore and length loses, for a hose with its bends [Pa]."""
+    concrete = layered(concrete, part.layer)
     at = (np.arange(FINE) + 0.5) / FINE if part.outlet != part.diameter else np.zeros(1)
     bores = part.diameter + at * (part.outlet - part.diameter)
     losses = [steady(concrete, Line(radius=d / 2, length=1.0, rise=0.0), flow).pressure for d in bores.tolist()]
-    return float(np.mean(losses)) * part.length
+    return float(np.mean(losses)) * part.length * part.curving
 
 
 def layered(concrete: Concrete, factor: float) -> Concrete:
