@@ -14,6 +14,7 @@ from warpcrete import SceneError, Simulation, load, scenes
 from warpcrete.cli.main import cli
 from warpcrete.dem.laws import Contact
 from warpcrete.dem.packing import pack
+from warpcrete.dem.pictures import plot_stations
 from warpcrete.dem.scene import Bodies, Scene, Stations
 from warpcrete.dem.stations import COLUMNS, losses, measured
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -103,6 +104,7 @@ def test_every_part_is_pushed_through_and_measured(device, course):
     assert np.all(np.diff(table["axial_stress"][full]) < 0)
     assert np.all((table["solid_fraction"][full] > 0.5) & (table["solid_fraction"][full] < 0.8))
     assert run["momentum_balance_error"] < 1e-3
+    assert len(plot_stations(run).axes) == 4
     assert ("middle_loss" in run.result) == (course != "straight") and ("gradient" in run.result) == (
         course == "straight"
     )
@@ -353,7 +355,7 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
     "said, told",
     [
         ({"points": [[0, 1, 0], [0, 2, 0]]}, "lead 90 degrees away from where the line goes"),
-        ({"points": [[1, 0, 0], [1.1, 0.1, 0], [1, 0.2, 0]]}, "bend it to a radius of"),
+        ({"points": [[1, 0, 0], [1.1, 0.02, 0], [1.15, 0.12, 0], [1.15, 1, 0]]}, "bend it to a radius of"),
         ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter apart"),
         ({"points": [[1, 0]]}, "must each be three lengths"),
         ({"points": "there"}, "must be a list of points"),

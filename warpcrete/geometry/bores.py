@@ -9,7 +9,7 @@ import numpy as np
 from ..core.errors import refuse
 from .axis import Arc, Axis
 
-FACETS = 64
+FACETS = 32
 """Round a pipe that is made of triangles."""
 FINE = 400
 """Places at which a volume is inverted."""
