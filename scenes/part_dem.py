@@ -168,6 +168,8 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
             f"the largest aggregates are {sizes.largest / narrow:.2g} of the narrowest bore wide; above "
             f"{WIDEST_STONE:g} concrete is not pumped (ACI 304.2R)"
         )
+    if not _stations(given, course).tells_losses:
+        yield "straight stretches are too short for their losses: two slices must lie a radius off their ends"
     if course.line is not None:
         yield from course.line.remarks()
 

@@ -95,7 +95,8 @@ def test_nothing_lies_outside_the_true_wall_at_the_start(course):
 @pytest.mark.thorough
 @pytest.mark.parametrize("course", COURSES)
 def test_every_part_is_pushed_through_and_measured(device, course):
-    run = Simulation(scenes.part_dem(**SMALL | COURSES[course]), device=device).run()
+    scene = scenes.part_dem(**SMALL | COURSES[course] | {"straight": 0.18, "slices": 3.0})
+    run = Simulation(scene, device=device).run()
     for name, (passed, found) in sys.modules["warpcrete.scenes.part_dem"].check(run).items():
         assert passed, f"{name}: {found}"
     table = run.tables["stations"].columns
@@ -212,7 +213,7 @@ def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_pa
         given.pop(name)
     scene = scenes.part_dem(**given)
     whole = Simulation(scene, device=device).run()
-    assert whole.finished and whole["middle_loss"] > 0
+    assert whole.finished and whole["momentum_balance_error"] < 1e-3
 
     def cut(phase, fraction, figures):
         if phase == "running" and fraction > 0.4:
@@ -227,6 +228,11 @@ def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_pa
     assert resumed.result["state_hash"] == whole.result["state_hash"]
     for name, column in whole.tables["stations"].columns.items():
         assert np.array_equal(column, resumed.tables["stations"].columns[name], equal_nan=True), name
+
+
+def test_short_stretches_are_told():
+    told = [scenes.part_dem(**SMALL | COURSES["bend"] | {"straight": length}).remarks for length in (0.1, 0.3)]
+    assert "too short for their losses" in told[0][-1] and not any("too short" in text for text in told[1])
 
 
 def test_a_scene_without_stations_has_no_code_or_memory_for_them(device):
@@ -273,17 +279,20 @@ def test_a_line_is_put_together_from_its_end():
     parts = [{"straight": 1}, {"bend": {"to": "left", "radius": 0.5}}, {"straight": 2}]
     line = line_of({"diameter": 0.1, "parts": parts})
     a, b = 100.0, 0.03
-    law = WallLaw(0.1, (0.0, 1e9), (a, a + b * 1e9))
+    law = WallLaw(0.1, a, b, 1e3, 1e9)
+    columns = {"axial_stress": np.array([1e3, 3e3, np.nan]), "wall_stress": np.array([130, 190, 0.0])}
+    fitted = WallLaw.of(0.1, columns, 1e5)
+    assert (fitted.start, fitted.slope, fitted.measured) == pytest.approx((100.0, 0.03, 3e3))
     packed = Packed({0.1: law}, {line.parts[1].alike: 2.0}, 1500.0)
     found = packed.course(line)
     length = 1 + 2 + math.pi / 2 * 0.5 * 2
     exact = a / b * (math.exp(4 * b / 0.1 * length) - 1)
     assert sum(map(sum, found)) == pytest.approx(exact, rel=0.02)
     assert all(weight == 0 for _, weight in found)
-    flat = Packed({0.1: WallLaw(0.1, (0.0, 10.0), (a, a))}, {}, 1500.0)
+    flat = Packed({0.1: WallLaw(0.1, a - 10 * b, b, 5.0, 10.0)}, {}, 1500.0)
     upright = line_of({"diameter": 0.1, "begin": "up", "parts": [{"straight": 2}]})
     ((friction, weight),) = flat.course(upright)
-    assert friction == pytest.approx(4 * a / 0.1 * 2) and weight == pytest.approx(1500 * 9.81 * 2)
+    assert friction == pytest.approx(4 * a / 0.1 * 2, rel=1e-4) and weight == pytest.approx(1500 * 9.81 * 2)
 
 
 @pytest.mark.thorough
@@ -305,7 +314,9 @@ def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     assert "axial_stress" in part.tables["stations"].columns
     again = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "two"), "--known", str(tmp_path / "one")])
     second = json.loads((tmp_path / "two" / "line-dem.json").read_text())
-    assert second["pressure"] == record["pressure"] and second["wall_time"] == {}, again.output
+    # Tables hold nine digits.
+    assert second["pressure"]["value"] == pytest.approx(record["pressure"]["value"], rel=1e-7), again.output
+    assert second["wall_time"] == {}
 
 
 def test_line_by_elements_refuses(tmp_path):

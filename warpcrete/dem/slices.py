@@ -11,6 +11,9 @@ from ..core.errors import between, refuse
 from ..geometry.axis import Axis
 from ..geometry.bores import Bores
 
+CLEAR, FEWEST = 1.0, 2
+"""Length beside an end or the middle that fitted lines leave out, over the radius there; slices that they need."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stations:
@@ -45,3 +48,20 @@ class Stations:
     def surfaces(self) -> np.ndarray:
         """Of the wall [m2]."""
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
+
+    def clear(self, low: float, high: float) -> np.ndarray:
+        """Which slices lie between two arc lengths [m], and a radius off both, shape (slices,)."""
+        off = CLEAR * self.bores.at([low, high])
+        return (self.places > low + off[0]) & (self.places < high - off[1])
+
+    @property
+    def straights(self) -> tuple[tuple[float, float], ...]:
+        """Arc lengths of straight stretches: before and behind the middle, or all of it [m]."""
+        if self.middle is None:
+            return ((self.edges[0], self.edges[-1]),)
+        return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])
+
+    @property
+    def tells_losses(self) -> bool:
+        """Are there slices enough in all of them for lines through what they measure?"""
+        return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)

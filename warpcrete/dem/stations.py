@@ -22,15 +22,13 @@ from ..kernels.common.types import types
 from ..kernels.dem.stations import force_probe
 from .model import Model
 from .probes import listed_pairs
-from .slices import Stations
+from .slices import FEWEST, Stations
 from .state import State
 
 RINGS = 5
 """Of equal width, in which a velocity profile is a mean."""
 FRONT = 0.98
 """Part of the solid volume behind the front: what is beyond it no longer fills the pipe."""
-CLEAR, FEWEST = 1.0, 2
-"""Length beside an end or the middle that fitted lines leave out, over the radius there; slices that they need."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
@@ -106,18 +104,18 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     flux = table["velocity"] * table["solid_fraction"] * table["radius"] ** 2
 
     def lines(low: float, high: float) -> _Straight | None:
-        clear = CLEAR * stations.bores.at([low, high])
-        here = (s > low + clear[0]) & (s < high - clear[1]) & np.isfinite(stress)
+        here = stations.clear(low, high) & np.isfinite(stress)
         if np.count_nonzero(here) < FEWEST:
             return None
         return _Straight(*(np.polyfit(s[here], each[here], 1) for each in (stress, shear)),
                          float(shear[here].mean()), float(flux[here].mean()))  # fmt: skip
 
+    stretches = [lines(*ends) for ends in stations.straights]
     if stations.middle is None:
-        found = lines(stations.edges[0], stations.edges[-1])
+        found = stretches[0]
         return {} if found is None else {"gradient": -found.stress[0], "wall_stress": found.mean}
     begin, end = stations.middle
-    before, behind = lines(stations.edges[0], begin), lines(end, stations.edges[-1])
+    before, behind = stretches
     result: dict[str, float] = {}
     for name, found in (("upstream", before), ("downstream", behind)):
         if found is not None:

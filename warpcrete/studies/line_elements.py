@@ -36,6 +36,8 @@ STIFFER = 5.0
 """Times the concrete's modulus: soft aggregates are still being pressed together after a travel of many diameters,
 and what leaves is less than what enters. Straight pipe of 125 mm loses 9.48 kPa/m with the modulus of Zhan, 1e5 Pa, and
 9.55 kPa/m with five times as much."""
+SOFT = 0.2
+"""Pressure over the modulus above which elements would be pressed into one another, and friction rises no more."""
 STEPS = 50
 """In which a part's pressure is summed."""
 EVEN = 0.8
@@ -65,27 +67,30 @@ class Elements:
 
 @dataclass(frozen=True)
 class WallLaw:
-    """Stress on a straight pipe's wall against the pressure there, within what was measured."""
+    """Stress on a straight pipe's wall against the pressure there: friction of the stones' push, and a layer's."""
 
     diameter: float
     """[m]"""
-    pressures: tuple[float, float]
-    """Least and largest that was measured [Pa]."""
-    stresses: tuple[float, float]
-    """There, by a line through all stations [Pa]."""
+    start: float
+    """Stress without pressure [Pa]."""
+    slope: float
+    """Stress over pressure."""
+    measured: float
+    """Largest pressure that it was fitted to [Pa]."""
+    largest: float
+    """Pressure above which it is taken to rise no more [Pa]."""
 
     @classmethod
-    def of(cls, diameter: float, columns: Mapping[str, np.ndarray]) -> WallLaw:
-        """From stations of a straight pipe, those beside its ends left out."""
+    def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
+        """A line through what the stations of a straight pipe have, which Coulomb friction and a layer give."""
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)
-        slope, start = np.polyfit(pressure[here], shear[here], 1)
-        ends = float(pressure[here].min()), float(pressure[here].max())
-        return cls(diameter, ends, (float(start + slope * ends[0]), float(start + slope * ends[1])))
+        slope, start = (float(x) for x in np.polyfit(pressure[here], shear[here], 1))
+        return cls(diameter, start, slope, float(pressure[here].max()), largest)
 
     def gradient(self, pressure: float) -> float:
-        """Of the pressure, by friction [Pa/m]; beyond what was measured as at its end."""
-        return 4 / self.diameter * float(np.interp(pressure, self.pressures, self.stresses))
+        """Of the pressure, by friction [Pa/m]."""
+        return 4 / self.diameter * max(self.start + self.slope * min(pressure, self.largest), 0.0)
 
 
 @dataclass(frozen=True)
@@ -301,7 +306,7 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
                 refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
-            laws[part.diameter] = WallLaw.of(part.diameter, columns)
+            laws[part.diameter] = WallLaw.of(part.diameter, columns, SOFT * run.scene.parameters["modulus"])
             densities.append(float(np.nanmean(columns["bulk_density"])))
         elif "middle_ratio" not in run.result:
             refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
@@ -321,10 +326,11 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
         ratio = run.result.get("flux_ratio")
         if ratio is not None and number(ratio) < EVEN:
             yield f"{_called(kinds[key], seed)}: {100 * number(ratio):.0f} % of what enters leaves; it is still packed"
-    most = max(law.pressures[1] for each in found.packed for law in each.laws.values())
-    if found.pressure > 1.2 * most:
-        yield (f"friction above {most / 1e3:.3g} kPa is taken to be that at {most / 1e3:.3g} kPa, the most that was "
-               "measured")  # fmt: skip
+    laws = [law for each in found.packed for law in each.laws.values()]
+    measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
+    if found.pressure > 1.2 * measured:
+        yield (f"friction above {measured / 1e3:.3g} kPa is by the line through what was measured below"
+               + (f", above {largest / 1e3:.3g} kPa as there" if found.pressure > largest else ""))  # fmt: skip
 
 
 def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
