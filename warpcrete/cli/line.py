@@ -21,8 +21,8 @@ from .run import CHECK_FAILED, INTERRUPTED
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float, cells: int, method: str,
-    shapes: str, coarse: float | None, seeds: int, out: Path | None, known: Path | None, device: str | None,
-    threads: int | None, quiet: bool,
+    shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
+    device: str | None, threads: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -32,7 +32,7 @@ def run(
         raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
     if theory and method != "flow":
         raise click.UsageError("theory: means nothing with --method; leave out one")
-    elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds)
+    elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds, stiffer=stiffer)
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
     name = str(concrete or given.concrete)

@@ -355,6 +355,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
               "walls have a layer and no friction wants 'reference', as spheres roll along it")  # fmt: skip
 @click.option("--coarse", type=float, help="times the sizes of elements  [default: until the largest is 0.3 of the "
               "narrowest bore]")  # fmt: skip
+@click.option("--stiffer", type=float, default=5.0, show_default=True, help="times the modulus of elements: soft "
+              "ones are pressed together for longer, stiff ones take more steps")  # fmt: skip
 @click.option("--seeds", type=int, default=1, show_default=True, help="packings of elements, whose scatter is a band")
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
 @click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "

@@ -36,6 +36,10 @@ STIFFER = 5.0
 """Times the concrete's modulus: soft aggregates are still being pressed together after a travel of many diameters,
 and what leaves is less than what enters. Straight pipe of 125 mm loses 9.48 kPa/m with the modulus of Zhan, 1e5 Pa, and
 9.55 kPa/m with five times as much."""
+PRESSED = "pressed"
+"""Straight pipe is simulated twice: behind a plug that hardly holds, and behind one that is pressed against it ..."""
+PRESSURE = 0.04
+"""... by so much of the modulus, as friction at low pressure alone says too much of that at high."""
 SOFT = 0.2
 """Pressure over the modulus above which elements would be pressed into one another, and friction rises no more."""
 STEPS = 50
@@ -210,8 +214,11 @@ def run_elements(
     if known is not None and not (known / "parts").is_dir():
         refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
     kinds = dict(_kinds(line))
-    jobs = [(key, seed, modules()[SCENE].scene(**_parameters(part, line, concrete, flow, elements, seed)))
-            for seed in range(elements.seeds) for key, part in kinds.items()]  # fmt: skip
+    jobs = []
+    for seed in range(elements.seeds):
+        for key, part in kinds.items():
+            own = _parameters(part, key[-1] == PRESSED, line, concrete, flow, elements, seed)
+            jobs.append((key, seed, modules()[SCENE].scene(**own)))
     runs: dict[tuple[Any, int], Any] = {}
     new = []
     for key, seed, scene in jobs:
@@ -225,7 +232,7 @@ def run_elements(
     failed = {}
     for (key, seed), run in runs.items():
         if bad := failed_checks(run.result):
-            failed[_called(kinds[key], seed)] = [f"{name}: {run.result['checks'][name]['found']}" for name in bad]
+            failed[_called(key, kinds[key], seed)] = [f"{name}: {run.result['checks'][name]['found']}" for name in bad]
     found = ElementLine(line, concrete, flow, packed, [], took, failed)
     found.remarks = list(_remarks(found, runs, kinds))
     if out is not None:
@@ -242,10 +249,11 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
         for diameter in (part.diameter, part.outlet):
             straight = Part(part.number, "straight", diameter, 1.0, 0.0, diameter)
             yield straight.alike, straight
+            yield (*straight.alike, PRESSED), straight
 
 
 def _parameters(
-    part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
+    part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
     """Of the scene of a kind of part, without weight."""
     wide = max(part.diameter, part.outlet)
@@ -260,6 +268,8 @@ def _parameters(
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
     given = modules()[SCENE].scene.declared(own)
     own["modulus"] = elements.stiffer * given.modulus
+    if pressed:
+        own["plug_pressure"] = PRESSURE * own["modulus"]
     narrow = min(min(each.diameter, each.outlet) for each in line.parts)
     factor = elements.coarse or max(1.0, WIDEST * narrow / given.size_max)
     # The plug's balls, which are small, would set the time step.
@@ -268,8 +278,8 @@ def _parameters(
     return own | (sizes if given.sizes in ("gaussian", "uniform") else {})
 
 
-def _called(part: Part, seed: int) -> str:
-    return f"{folder_name(part)}-dem-seed-{seed}"
+def _called(key: tuple[Any, ...], part: Part, seed: int) -> str:
+    return f"{folder_name(part)}{'-pressed' if key[-1] == PRESSED else ''}-dem-seed-{seed}"
 
 
 def _simulate(
@@ -281,7 +291,7 @@ def _simulate(
     for key, seed, scene in jobs:
         recorders: list[Recorder] = [CheckRecorder(modules()[SCENE].check)]
         if out is not None:
-            recorders.insert(0, TableRecorder(free_folder(out / "parts" / _called(kinds[key], seed))))
+            recorders.insert(0, TableRecorder(free_folder(out / "parts" / _called(key, kinds[key], seed))))
         simulations.append(Simulation(scene, device=device, threads=threads, recorders=recorders))
     if not simulations:
         return {}
@@ -294,24 +304,30 @@ def _simulate(
         if not outcome.finished:
             raise KeyboardInterrupt
         runs[key, seed] = outcome
-        took[_called(kinds[key], seed)] = number(outcome.result["speed"]["wall_time"])
+        took[_called(key, kinds[key], seed)] = number(outcome.result["speed"]["wall_time"])
     return took
 
 
 def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
-    laws, ratios, densities = {}, {}, []
+    tables: dict[float, list[Mapping[str, np.ndarray]]] = {}
+    ratios, densities, largest = {}, [], 0.0
     for key, part in kinds.items():
         run = runs[key]
         if part.by_length:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
                 refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
-            laws[part.diameter] = WallLaw.of(part.diameter, columns, SOFT * run.scene.parameters["modulus"])
+            tables.setdefault(part.diameter, []).append(columns)
             densities.append(float(np.nanmean(columns["bulk_density"])))
+            largest = SOFT * run.scene.parameters["modulus"]
         elif "middle_ratio" not in run.result:
             refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
         else:
             ratios[key] = number(run.result["middle_ratio"])
+    laws = {}
+    for diameter, found in tables.items():
+        joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
+        laws[diameter] = WallLaw.of(diameter, joined, largest)
     return Packed(laws, ratios, float(np.mean(densities)))
 
 
@@ -325,7 +341,8 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
     for (key, seed), run in runs.items():
         ratio = run.result.get("flux_ratio")
         if ratio is not None and number(ratio) < EVEN:
-            yield f"{_called(kinds[key], seed)}: {100 * number(ratio):.0f} % of what enters leaves; it is still packed"
+            name = _called(key, kinds[key], seed)
+            yield f"{name}: {100 * number(ratio):.0f} % of what enters leaves; it is still being pressed together"
     laws = [law for each in found.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
     if found.pressure > 1.2 * measured:
