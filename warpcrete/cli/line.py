@@ -73,7 +73,7 @@ def _print(
         click.echo("\n" + "\n".join(text))
         if folder is not None:
             (folder / "line-dem.md").write_text("\n".join(text) + "\n")
-    took = sum(sum(each.took.values()) for each in (found, packed) if each is not None)
+    took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
         click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")
     if (found is not None and found.failed) or (packed is not None and packed.failed):

@@ -7,6 +7,7 @@ loses over straight pipe beside it. The line is put together from its end, where
 from __future__ import annotations
 
 import math
+import time as wall_clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,7 +149,9 @@ class ElementLine:
     """One for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each simulation that was run [s], by its folder's name."""
+    """Wall time of each simulation that was run, beside others [s], by its folder's name."""
+    elapsed: float = 0.0
+    """Wall time of all of them, packing included [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Checks that simulations failed, and what they found, likewise."""
 
@@ -189,6 +192,7 @@ class ElementLine:
                 for part, friction, weight in zip(self.line.parts, self.frictions(), self.weights(), strict=True)
             ],
             "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
+            "elapsed": quantity(self.elapsed, "s"),
         }  # fmt: skip
 
 
@@ -227,13 +231,15 @@ def run_elements(
             new.append((key, seed, scene))
         else:
             runs[key, seed] = load(folder)
+    began = wall_clock.perf_counter()
     took = _simulate(new, kinds, runs, out, device, threads, progress)
+    elapsed = wall_clock.perf_counter() - began
     packed = [_packed(kinds, {key: runs[key, seed] for key in kinds}) for seed in range(elements.seeds)]
     failed = {}
     for (key, seed), run in runs.items():
         if bad := failed_checks(run.result):
             failed[_called(key, kinds[key], seed)] = [f"{name}: {run.result['checks'][name]['found']}" for name in bad]
-    found = ElementLine(line, concrete, flow, packed, [], took, failed)
+    found = ElementLine(line, concrete, flow, packed, [], took, elapsed, failed)
     found.remarks = list(_remarks(found, runs, kinds))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
