@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, load, scenes
 from warpcrete.cli.main import cli
-from warpcrete.dem.laws import Contact
+from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.packing import pack
 from warpcrete.dem.pictures import plot_stations
 from warpcrete.dem.scene import Bodies, Scene, Stations
@@ -137,6 +137,26 @@ def test_stress_of_one_contact(device):
     assert named["pressure"] == pytest.approx(exact / 3, rel=1e-12) and named["wall_stress"] == 0
     # The first sphere lies in the slice but for its cap beyond the middle, and so does the other's cap.
     assert named["solid_fraction"] == pytest.approx(math.pi / 6 * 8e-6 / (math.pi * 0.05**2 * 0.5), rel=1e-12)
+
+
+def test_stress_on_the_wall_of_one_sphere_that_slides(device):
+    """A layer drags by eta pi r^2 v; the wall's push times the arm to it, over three volumes, is pressure."""
+    contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)
+    axis = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
+    scene = Scene(
+        name="slide", duration=1.0, gravity=(0, 0, 0), contact=contact,
+        contacts={("aggregate", "wall"): LubricationLayer(contact=contact, viscosity=100.0)},
+        bodies=(Bodies(positions=[[0.25, 0.041, 0], [0.8, 0, 0]], sizes=0.02, velocities=[[0.2, 0, 0], [0, 0, 0]]),),
+        walls=(PipeWall(name="pipe", axis=axis, radius=0.05),),
+        stations=Stations(axis=axis, bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.5, 1.0)),
+    )  # fmt: skip
+    simulation: Any = Simulation(scene, device=device, precision="float64")
+    simulation.prepare()
+    found = dict(zip(COLUMNS, measured(simulation.scene.stations, simulation.model, simulation.state, 0.0)[0]))
+    assert found["wall_stress"] == pytest.approx(100 * math.pi * 1e-4 * 0.2 / (2 * math.pi * 0.05 * 0.5), rel=1e-9)
+    push = 1e5 * math.pi * 1e-4 / 0.01 * 0.001
+    assert found["pressure"] == pytest.approx(push * 0.009 / 3 / (math.pi * 0.05**2 * 0.5), rel=1e-9)
+    assert found["axial_stress"] == pytest.approx(0.0, abs=1e-9) and found["velocity_0.9R"] == pytest.approx(0.2)
 
 
 def test_velocity_profile_goes_by_rings(device):

@@ -237,7 +237,8 @@ def _of_contacts(
 
 def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Sums of values (n, k) in slices (m,), where each is spread evenly from one arc length to another [m]."""
-    width = np.maximum(np.abs(end - begin), 1e-12)
+    # A wall touches across the pipe, without any width: one that does not round away.
+    width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
     for here, slices in _reached(low, low + width, edges):
