@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from .jring_dem import scene as jring_dem
     from .lbox import scene as lbox
     from .lbox_dem import scene as lbox_dem
+    from .part_dem import scene as part_dem
     from .pipe import scene as pipe
     from .slump import scene as slump
     from .slump_dem import scene as slump_dem
     from .tube import scene as tube
 
-__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "pipe", "slump",
-           "slump_dem", "tube"]  # fmt: skip
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "part_dem",
+           "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Methods by the names that results have for them: moving particles, discrete elements."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 
 import numpy as np
 
@@ -22,13 +22,12 @@ from warpcrete.dem import clumps
 from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import Fill, PipeContainer
-from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
+from warpcrete.dem.pumped import bonds_of, contact_of, fractions_of, hydration_of, sizes_of, wall_contact_of
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     AxisDrive,
     Bodies,
     Bonds,
-    Hydration,
     PipeUnit,
     PressureProbe,
     Published,
@@ -38,7 +37,7 @@ from warpcrete.dem.scene import (
     TimeStep,
     Watch,
 )
-from warpcrete.dem.sizes import Gaussian, SieveCurve, Sizes, Uniform
+from warpcrete.dem.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.meshes import Bore, bore_probes, check_pipe, enclosed, load
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Wall
@@ -73,7 +72,7 @@ def scene(parameters: PipeParameters) -> Scene:
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
     """
     given = parameters
-    sizes = _sizes(given)
+    sizes = sizes_of(given, given.diameter)
     axis = unit_axis(given.unit, given.length + given.distance, given.elbow_radius)
     pipe = _pipe_wall(given, axis)
     bore = _odd_bore(given, axis, pipe, 0.0, given.length)
@@ -89,7 +88,7 @@ def scene(parameters: PipeParameters) -> Scene:
             else PipeContainer(axis, given.radius, given.length),
             sizes=sizes,
             templates=clumps.templates(given.shapes, given.shape_spheres),
-            fractions=_fractions(given.fractions),
+            fractions=fractions_of(given.fractions),
             density=given.density,
             bulk_density=given.bulk_density,
             solid_fraction=given.solid_fraction,
@@ -98,10 +97,10 @@ def scene(parameters: PipeParameters) -> Scene:
         ),
         walls=walls,
         drives=drives,
-        contact=_contact(given),
-        contacts=_wall_contact(given),
-        bonds=_bonds(given),
-        hydration=_hydration(given),
+        contact=contact_of(given),
+        contacts=wall_contact_of(given),
+        bonds=bonds_of(given),
+        hydration=hydration_of(given),
         group_bonds=plug_bonds,
         gravity=(0.0, 0.0, -given.gravity),
         settle=Settle(duration=given.settle) if given.settle > 0 else None,
@@ -295,57 +294,6 @@ def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: 
     return None if bore.is_round(given.radius) else bore
 
 
-def _contact(given: PipeParameters) -> Contact:
-    return Contact(
-        effective_modulus=given.modulus,
-        stiffness_ratio=given.stiffness_ratio,
-        friction=given.friction,
-        normal_damping_ratio=given.normal_damping,
-        shear_damping_ratio=given.shear_damping,
-        dashpot=given.dashpot,
-    )
-
-
-def _wall_contact(given: PipeParameters) -> dict[tuple[str, str], ContactLaw]:
-    """Contact with pipe and piston, where it differs."""
-    contact = _contact(given)
-    if given.wall_friction is not None:
-        contact = replace(contact, friction=given.wall_friction)
-    if given.layer_yield or given.layer_viscosity:
-        layer = LubricationLayer(contact=contact, yield_stress=given.layer_yield, viscosity=given.layer_viscosity)
-        return {("aggregate", "wall"): layer}
-    return {("aggregate", "wall"): contact} if given.wall_friction is not None else {}
-
-
-def _bonds(given: PipeParameters) -> Bonds | None:
-    if not given.bonds:
-        return None
-    return Bonds(
-        effective_modulus=given.bond_modulus,
-        stiffness_ratio=given.bond_stiffness_ratio,
-        tensile_strength=given.tensile_strength,
-        cohesion=given.cohesion,
-        friction_angle=given.friction_angle,
-        gap=given.bond_gap,
-        healing=given.healing,
-    )
-
-
-def _hydration(given: PipeParameters) -> Hydration | None:
-    if not (given.bonds and given.hydration):
-        return None
-    return Hydration(
-        fraction=given.hydration,
-        bonds=Bonds(
-            effective_modulus=given.hydration_modulus,
-            stiffness_ratio=given.bond_stiffness_ratio,
-            tensile_strength=given.hydration_strength,
-            cohesion=given.hydration_strength / 2,
-            friction_angle=given.friction_angle,
-        ),
-    )
-
-
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
@@ -354,42 +302,6 @@ def _rest(given: PipeParameters) -> Rest | None:
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
     )
-
-
-def _sizes(given: PipeParameters) -> Sizes:
-    found = _distribution(given)
-    if found.largest >= given.diameter:
-        refuse("size_max", found.largest, f"must be below the pipe's diameter, {given.diameter:g} m")
-    return found
-
-
-def _distribution(given: PipeParameters) -> Sizes:
-    smallest, largest = given.size_min, given.size_max
-    if given.sizes == "uniform":
-        return Uniform(smallest, largest)
-    if given.sizes == "gaussian":
-        mean, deviation = given.size_mean, given.size_deviation
-        if mean is None:
-            mean = 0.5 * (smallest + largest)
-        if deviation is None:
-            deviation = max(0.5 * (largest - smallest), 1e-6 * largest)
-        return Gaussian(mean, deviation, smallest, largest)
-    try:
-        pairs = [tuple(map(float, part.split(":"))) for part in given.sizes.split(",")]
-        openings, passing = zip(*pairs, strict=True)
-    except ValueError:
-        refuse("sizes", given.sizes, "must be gaussian, uniform or a sieve curve",
-               "for example '5:0,10:0.4,20:1' (mm:passing)")  # fmt: skip
-    return SieveCurve(tuple(1e-3 * o for o in openings), tuple(passing))
-
-
-def _fractions(text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        refuse("fractions", text, "must be numbers joined by commas", "for example '2,1,1,1'")
 
 
 def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.run_loop import Recorder
-from warpcrete.studies.lines import line_of
+from warpcrete.studies.lines import line_of, restart
 from warpcrete.theory.pipe import Concrete
 
 PLUG = dict(
@@ -134,10 +134,10 @@ def test_a_line_restarts_as_the_sum_of_its_parts():
     plug = Concrete(density=2400, viscosity=30, yield_stress=500, slip_viscosity=1000, slip_yield=20)
     length, rise = 15 + 0.25 * math.pi, 5.5
     weight = 2400 * 9.81 * rise
-    assert line.restart(plug, 600.0, 0.3) == pytest.approx(weight + 4 * 200 / 0.1 * length, rel=1e-9)
+    assert restart(line, plug, 600.0, 0.3) == pytest.approx(weight + 4 * 200 / 0.1 * length, rel=1e-9)
     speed = 2e-3 / (math.pi * 0.05**2)
     moving = weight + 4 * (200 + 1000 * speed) / 0.1 * length
-    assert line.restart(plug, 600.0, 0.3, 2e-3) == pytest.approx(moving, rel=1e-9)
+    assert restart(line, plug, 600.0, 0.3, 2e-3) == pytest.approx(moving, rel=1e-9)
     found = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--rest", "600", "--thixotropy", "0.3"])
     assert found.exit_code == 0 and "after 600 s of rest, grown by 0.3 Pa/s, it moves from 198.2 bar on" in found.output
     bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..core.amounts import amount
-from ..core.files import next_folder
+from ..core.files import check_new, next_folder
 from ..core.progress import ProgressBar
-from ..mix.mix import mix_named
+from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
-from ..studies.line_result import lines_of
+from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements
+from ..studies.line_result import LineResult, lines_of
 from ..studies.line_run import LAYER_FACTOR, run_line
-from ..studies.lines import read_line, with_stone
+from ..studies.lines import PipeLine, friction, read_line, restart, with_stone
 from .run import CHECK_FAILED, INTERRUPTED
 from .theory import growth_of
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
-    out: Path | None, known: Path | None, device: str | None, threads: int | None, quiet: bool,
-    rest: float | None, thixotropy: float | None,
+    method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
+    device: str | None, threads: int | None, quiet: bool, rest: float | None, thixotropy: float | None,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
     given = read_line(line)
@@ -29,34 +31,66 @@ def run(
         raise click.UsageError("flow: neither the line nor an option has it; --flow '30 m3/h'")
     if concrete is None and given.concrete is None:
         raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
+    if theory and method != "flow":
+        raise click.UsageError("theory: means nothing with --method; leave out one")
+    elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds, stiffer=stiffer)
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
     name = str(concrete or given.concrete)
-    chosen, mix = concrete_of(name), mix_named(name)
+    mix = mix_named(name)
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
     growth = growth_of(rest, thixotropy)
-    restart = [] if rest is None else [given.restart(chosen, rest, growth, each) / 1e5 for each in (0.0, rate)]
+    moved = [] if rest is None else [restart(given, concrete_of(name), rest, growth, q) / 1e5 for q in (0.0, rate)]
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
+    where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
+    found, packed = None, None
     try:
-        found = run_line(
-            given, chosen, rate, out=folder, known=known, simulate=not theory,
-            cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
-            band=mix.band if mix is not None and layer_factor is None else None, device=device, threads=threads,
-            progress=None if quiet else progress,
-        )  # fmt: skip
+        if method == "dem" and folder is not None:
+            check_new(folder)
+        if method != "dem":
+            found = run_line(
+                given, concrete_of(name), rate, simulate=not theory,
+                cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
+                band=mix.band if mix is not None and layer_factor is None else None,
+                progress=None if quiet else progress, **where,
+            )  # fmt: skip
+        if method != "flow":
+            tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
+            packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
     except KeyboardInterrupt:
         if folder is not None and (folder / "parts").is_dir():
             click.echo(f"interrupted; parts that are finished are taken by: warpcrete line {line} --known {folder}")
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
-    click.echo("\n" + "\n".join(lines_of(found)))
-    if restart:
-        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {restart[0]:.4g} bar on; "
-                   f"{restart[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
-    if found.folder is not None:
-        click.echo(f"\nfolder: {found.folder}; simulated in {sum(found.took.values()):.0f} s")
-    if found.failed:
-        raise SystemExit(CHECK_FAILED)
+    _print(
+        given,
+        name,
+        rate,
+        found,
+        packed,
+        folder,
+        moved
+        and f"after {rest:g} s of rest, grown by {growth:g} Pa/s, it "
+        f"moves from {moved[0]:.4g} bar on; {moved[1]:.4g} bar set it going at that flow at once (theory)",
+    )
+
+
+def _print(
+    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path | None
+) -> None:
+    if found is not None:
+        click.echo("\n" + "\n".join(lines_of(found)))
+    if packed is not None:
+        others = {} if found is None else {"flow": [x.friction for x in found.losses]}
+        if completed(name).flow:
+            others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
+        text = lines_of_elements(packed, others)
+        click.echo("\n" + "\n".join(text))
+        if folder is not None:
+            (folder / "line-dem.md").write_text("\n".join(text) + "\n")
+    took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
+    if folder is not None:
+        click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")

@@ -327,7 +327,8 @@ LINE_HELP = """Pressure that a line of pipes needs: `warpcrete line LINE.yaml [o
 
 The file lists the parts in order. Each kind of part is simulated once, as a flow, straight pipe by the metre; the
 folder holds line.md, line.json, line.png (pressure along the line, theory beside it) and the runs, which another line
-takes with --known. burj-khalifa and shanghai-tower are shipped.
+takes with --known. burj-khalifa and shanghai-tower are shipped. --method dem does it by discrete elements, --method
+both by both, in one table.
 
 \b
   diameter: 125 mm
@@ -349,12 +350,22 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
 
 @cli.command("line", help=LINE_HELP)
 @click.argument("line", type=str)
-@click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'")
+@click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'; by "
+              "elements, zhan or any that run pipe takes")  # fmt: skip
 @click.option("--flow", help="in place of the line's, as '30 m3/h'")
 @click.option("--theory", is_flag=True, help="closed form alone: bends and reducers as straight pipe, at once")
 @click.option("--layer-factor", type=float, help="by which the slip layer's constants may be off, for the band; 1 "
               "where they were measured  [default: 2; of a mix the bands of all its constants]")  # fmt: skip
 @click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
+@click.option("--method", type=click.Choice(["flow", "dem", "both"]), default="flow", show_default=True,
+              help="a Bingham fluid with a slip layer, discrete elements, or both")  # fmt: skip
+@click.option("--shapes", default="spheres", show_default=True, help="of elements, as for run pipe; a concrete whose "
+              "walls have a layer and no friction wants 'reference', as spheres roll along it")  # fmt: skip
+@click.option("--coarse", type=float, help="times the sizes of elements  [default: until the largest is 0.3 of the "
+              "narrowest bore]")  # fmt: skip
+@click.option("--stiffer", type=float, default=5.0, show_default=True, help="times the modulus of elements: soft "
+              "ones are pressed together for longer, stiff ones take more steps")  # fmt: skip
+@click.option("--seeds", type=int, default=1, show_default=True, help="packings of elements, whose scatter is a band")
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
 @click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "
               "of the same parts are taken")  # fmt: skip

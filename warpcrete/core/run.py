@@ -6,7 +6,7 @@ import difflib
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,14 @@ from .units import number, shown
 
 COURSES = ("pressure", "spread", "front", "inside")
 """Columns of which the first that a series has is what its plot shows."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length by name, and the unit of each."""
+
+    columns: dict[str, np.ndarray]
+    units: dict[str, str]
 
 
 @dataclass(repr=False)
@@ -34,6 +42,8 @@ class Run:
     interrupted: bool = False
     """Cut at once by an interruption (Ctrl-C), not at a sample."""
     folder: Path | None = None
+    tables: dict[str, Table] = field(default_factory=dict)
+    """By the names of their files: what stands along something else than time."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"

@@ -8,10 +8,14 @@ import numpy as np
 
 from ..core.errors import positive, refuse
 from ..geometry.axis import Axis
+from ..geometry.bores import Bores
 from ..geometry.meshes import load_closed, signed_distance
 from ..geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
 from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
+
+SOWN = 0.95
+"""Part of the local radius within which aggregates are sown where a pipe is made of eight facets or more."""
 
 
 def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
@@ -26,7 +30,8 @@ class PipeContainer:
     """The first `length` of a pipe, between two planes across it.
 
     `bore`, a mesh, is the true wall where that is no round pipe of `radius` (a reducer, a few facets): `radius` is then
-    the least, inside which aggregates are sown, and `area` the mean cross-section.
+    the least, inside which aggregates are sown, and `area` the mean cross-section. Where `bores` says how wide the pipe
+    is all along, aggregates are sown by that.
     """
 
     axis: Axis
@@ -37,6 +42,7 @@ class PipeContainer:
     bore: MeshWall | None = None
     area: float | None = None
     """[m2]; None: of the round pipe."""
+    bores: Bores | None = None
 
     def __post_init__(self) -> None:
         positive("container radius", self.radius, "m")
@@ -47,6 +53,8 @@ class PipeContainer:
     @property
     def volume(self) -> float:
         """[m3] (Pappus: a bend does not change it)."""
+        if self.bores is not None:
+            return self.bores.volume(0.0, self.length)
         return float(np.pi * self.radius**2 if self.area is None else self.area) * self.length
 
     @property
@@ -73,7 +81,11 @@ class PipeContainer:
         """Well spread points inside, shape (count, 3) [m]."""
         u = spread_points(count, random)
         s = u[:, 0] * self.length
-        r = self.radius * np.sqrt(u[:, 1])
+        radius: np.ndarray | float = self.radius
+        if self.bores is not None:
+            s = self.bores.spread(u[:, 0], self.length)
+            radius = SOWN * self.bores.at(s)
+        r = radius * np.sqrt(u[:, 1])
         angle = 2 * np.pi * u[:, 2]
         points, _, normal, side = self.axis.frame(s)
         return points + (r * np.cos(angle))[:, None] * normal + (r * np.sin(angle))[:, None] * side

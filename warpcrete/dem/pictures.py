@@ -59,8 +59,50 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
                       textcoords="offset points", color="0.45", fontsize=8)  # fmt: skip
 
 
+def plot_stations(run: ElementRun) -> Any:
+    """Figure of what stations along a pipe measured: stresses, solid fraction, velocities over the radius; and the
+    pressure on the piston [kPa] against its travel [m].
+    """
+    from matplotlib.figure import Figure
+
+    table = run.tables["stations"].columns
+    figure = Figure(figsize=(10, 6.4), layout="constrained")
+    (stresses, piston), (solid, profile) = figure.subplots(2, 2)
+    for name, label in (
+        ("axial_stress", "along the pipe"),
+        ("pressure", "mean normal"),
+        ("wall_stress", "on the wall"),
+    ):
+        stresses.plot(table["place"], table[name] / 1e3, ".-", label=label)
+    stresses.set(ylabel="stress [kPa]", ylim=(0, None))
+    stresses.legend(frameon=False, fontsize=9)
+    piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color="C3")
+    piston.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
+    solid.plot(table["place"], table["solid_fraction"], ".-", color="C2")
+    solid.set(xlabel="along the part [m]", ylabel="solid fraction", ylim=(0, 1))
+    rings = [name for name in table if name.endswith("R")]
+    middles = [float(name.removeprefix("velocity_").removesuffix("R")) for name in rings]
+    full = np.flatnonzero(np.isfinite(table["velocity"]))
+    for place in full[np.unique(np.linspace(0, len(full) - 1, 5).astype(int))] if len(full) else ():
+        profile.plot(
+            middles, [100 * table[name][place] for name in rings], ".-", label=f"{table['place'][place]:.2f} m"
+        )
+    profile.set(xlabel="radius over the pipe's", ylabel="velocity [cm/s]", ylim=(0, None), xlim=(0, 1))
+    if len(full):
+        profile.legend(frameon=False, fontsize=9, title="along the part")
+    middle = run.scene.stations.middle
+    for axes in (stresses, solid):
+        if middle is not None:
+            axes.axvspan(*(end - run.scene.stations.origin for end in middle), color="C1", alpha=0.12, linewidth=0)
+    for axes in (stresses, piston, solid, profile):
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """The picture of a run folder: the pressure, if the scene has one."""
+    """The picture of a run folder: the pressure, if the scene has one, with what stations along the pipe measured."""
+    if "stations" in run.tables:
+        return plot_stations(run)
     if "pressure" not in run.series:
         return None
     return plot_strokes(run) if run.scene.pipe is not None and run.scene.pipe.stops is not None else plot_pressure(run)

@@ -383,7 +383,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     yield precisions()
     if given.sizes in ("gaussian", "uniform"):
         widest = max(WIDEST_STONE * given.diameter / given.size_max, 1.0)
-        yield Knob("coarse-graining", tuple(_coarser(given, c) for c in COARSENINGS if c <= widest), True)
+        yield Knob("coarse-graining", tuple(coarser(given, c) for c in COARSENINGS if c <= widest), True)
     if given.shapes == "reference":
         yield Knob(
             "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
@@ -416,7 +416,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
         yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")
 
 
-def _coarser(given: PipeParameters, factor: float) -> Level:
+def coarser(given: AggregateParameters, factor: float) -> Level:
+    """Level of aggregates that are so many times as large."""
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
     # As the number of aggregates, and as the steps that larger ones need.

@@ -19,6 +19,7 @@ from .sampling import STORED
 from .scene import Scene
 from .segregation import QUANTITIES as OF_SEGREGATION
 from .segregation import words as segregation_words
+from .stations import StationLog, losses
 from .strokes import held, peaks
 from .wear import WearMap
 from .worn import QUANTITIES as OF_WEAR
@@ -44,6 +45,14 @@ class Known:
     wear: WearMap | None = None
     blocked: dict[str, float] | None = None
     """What a :class:`BlockageWatch` found, empty if nothing; None where nobody looked."""
+    log: StationLog | None = None
+    """What was measured along the pipe."""
+
+    def along(self, name: str) -> float | None:
+        """What stations along the pipe came to, by a name of :func:`warpcrete.dem.stations.losses`."""
+        if self.log is None or not self.pumped:
+            return None
+        return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
 
     @property
     def pumped(self) -> bool:
@@ -172,6 +181,18 @@ def _plateau_words(run: Run) -> str:
     return f"{number(run.result['plateau_pressure']) / 1e3:.2f} kPa{_beside(run, 'plateau')}"
 
 
+def _gradient_words(name: str):
+    def words(run: Run) -> str:
+        return f"{number(run.result[name]) / 1e3:.3g} kPa/m"
+
+    return words
+
+
+def _middle_words(run: Run) -> str:
+    loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
+    return f"{loss:.3g} kPa, {ratio:.2f} times straight pipe of that length beside it"
+
+
 def no_plateau(run: Run) -> str:
     """Why a run with a pressure has no plateau; empty if it has one."""
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
@@ -229,6 +250,18 @@ QUANTITIES = (
     Quantity("restart_pressure", "Pa", _restarted(lambda k: k.peaks[-1]), "peak of the restart", _restart_words, True),
     Quantity("restart_over_end", "1",
              _restarted(lambda k: k.peaks[-1] / k.series["pressure"][k.window].mean())),
+    Quantity("gradient", "Pa/m", lambda k: k.along("gradient"), "friction", _gradient_words("gradient"), True),
+    Quantity("upstream_gradient", "Pa/m", lambda k: k.along("upstream_gradient"), "friction upstream",
+             _gradient_words("upstream_gradient"), True),
+    Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper", _middle_words, True),
+    Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
+    Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
+             _gradient_words("downstream_gradient"), True),
+    Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "leaves over enters",
+             lambda run: f"{100 * run.result['flux_ratio']:.0f} %"),
+    Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress")),
+    Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress")),
+    Quantity("downstream_wall_stress", "Pa", lambda k: k.along("downstream_wall_stress")),
     Quantity("coordination_number", "1", lambda k: k.contacts.coordination_number),
     Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
     Quantity("momentum_balance_error", "1", momentum_balance),

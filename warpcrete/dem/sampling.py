@@ -18,6 +18,7 @@ from .probes import both_sums
 from .segregation import UNITS as SEGREGATION
 from .segregation import row_of
 from .state import State
+from .stations import StationLog
 from .wear import UNITS as WEAR_UNITS
 from .wear import WearMap
 
@@ -76,6 +77,9 @@ class Sampler:
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.rows: list[dict[str, float]] = []
+        stations = model.scene.stations
+        self.log = StationLog(stations) if stations is not None else None
+        """What is measured along the pipe, where the scene asks for it."""
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -96,6 +100,7 @@ class Sampler:
             "power": self._power,
             "drive_work": self._drive_work,
             "wear": self.wear.state_dict() if self.wear is not None else None,
+            **({} if self.log is None else {"stations": np.array(self.log.samples)}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -106,6 +111,8 @@ class Sampler:
         self._drive_work = float(state["drive_work"])
         if self.wear is not None:
             self.wear.load_state_dict(state["wear"])
+        if self.log is not None:
+            self.log.samples = list(np.asarray(state["stations"], dtype=float))
 
     def series(self) -> dict[str, np.ndarray]:
         """Columns by name."""
@@ -143,6 +150,8 @@ class Sampler:
         }
         if scene.vessel is not None and state.sphere_count:
             row |= measured(scene.vessel, state.spheres.position.numpy(), state.spheres.velocity.numpy())
+        if self.log is not None:
+            self.log.add(model, state, row.get("travel", 0.0))
         for axis, letter in enumerate(AXES):
             row[f"momentum_{letter}"] = float(bodies.momentum[axis])
             row[f"drive_{letter}"] = float(bodies.drive_force[axis])

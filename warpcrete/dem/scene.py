@@ -20,11 +20,12 @@ from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Pres
 from .clumps import ClumpTemplate
 from .containers import Fill
 from .laws import Contact, ContactLaw
+from .slices import Stations
 
 __all__ = [
     "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall",
     "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene",
-    "Settle", "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
+    "Settle", "Stations", "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
@@ -388,6 +389,8 @@ class Scene:
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
+    stations: Stations | None = None
+    """Where stresses, solid fraction and velocities along a pipe are measured at every sample."""
     published: Published | None = None
     remarks: tuple[str, ...] = ()
     """What the scene simplifies, to be told before a run."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.footprint import footprint
 from ..core.method import results_of
 from ..core.provenance import provenance
+from ..core.run import Table
 from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
 from .blockage import BlockageWatch
@@ -26,6 +27,7 @@ from .restoring import restored, state_dict, state_hash
 from .sampling import STORED, Sampler, unit_of
 from .scene import Scene
 from .state import State
+from .stations import UNITS as STATION_UNITS
 from .stepper import Stepper
 from .strokes import stroke_table
 from .watch import Watch
@@ -270,6 +272,7 @@ class ElementSimulation(Simulation):
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
         running = self._spent.get("running", 0.0)
+        tables: dict[str, Table] = {}
         result: dict[str, Any] = {
             "scene": self.scene.name,
             "method": "dem",
@@ -299,9 +302,11 @@ class ElementSimulation(Simulation):
             contacts = contact_sums(self.model, state, coordination=True)
             known = Known(
                 self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
-                blocked=self.blockage.found if self.blockage is not None else None,
+                blocked=self.blockage.found if self.blockage is not None else None, log=self.sampler.log,
             )  # fmt: skip
             result |= results_of(QUANTITIES, known)
+            if known.log is not None and known.pumped:
+                tables["stations"] = Table(known.log.table(known.window), STATION_UNITS)
         result["speed"] = {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
@@ -314,6 +319,6 @@ class ElementSimulation(Simulation):
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         units = {name: self.unit(name) for name in series}
         return ElementRun(
-            self.scene, series, units, result, finished, packing=self.packing, bodies=state.table(),
+            self.scene, series, units, result, finished, tables=tables, packing=self.packing, bodies=state.table(),
             wear=self.sampler.wear,
         )  # fmt: skip

@@ -112,13 +112,14 @@ class Axis:
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
         """Point of the axis, its straight extensions included, that is nearest to each of `points`, shape (n, 3)."""
-        return self._projected(points)[0]
+        return self.placed(points)[0]
 
     def along(self, points: np.ndarray) -> np.ndarray:
         """Arc length of that point of the axis [m], negative before its start, shape (n,)."""
-        return self._projected(points)[1]
+        return self.placed(points)[1]
 
-    def _projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def placed(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both of them."""
         points = np.atleast_2d(np.asarray(points, dtype=float))
         best, distance = np.zeros_like(points), np.full(len(points), np.inf)
         length = np.zeros(len(points))
@@ -147,10 +148,28 @@ class Axis:
         first = bends[0] if bends else np.eye(3)[np.argmin(np.abs(self.tangent))]
         side = np.cross(self.tangent, first)
         side = side / np.linalg.norm(side)
-        if len({tuple(np.round(np.abs(np.cross(self.tangent, b)), 9)) for b in bends}) > 1:
-            refuse("axis", self.pieces, "may bend in one plane only")
         sides = np.broadcast_to(side, points.shape).copy()
+        if len({tuple(np.round(np.abs(np.cross(self.tangent, b)), 9)) for b in bends}) > 1:
+            sides = self._carried(s, side)
         return points, tangents, np.cross(sides, tangents), sides
+
+    def _carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
+        """A unit normal of the axis' start, carried along without twist to arc lengths `s` [m], shape (n, 3)."""
+        s = np.atleast_1d(np.asarray(s, dtype=float))
+        found, begin = np.empty((len(s), 3)), 0.0
+        for segment in self.segments():
+            piece = segment["piece"]
+            # Later pieces overwrite what lies beyond this one.
+            beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
+            turn = np.zeros(np.count_nonzero(beyond))
+            hinge = np.zeros(3)
+            if isinstance(piece, Arc):
+                turn = np.clip(s[beyond] - begin, 0.0, piece.length) / piece.radius
+                hinge = np.cross(segment["outward"], segment["tangent"])
+            found[beyond] = _turned(side, hinge, turn)
+            side = _turned(side, hinge, np.array([piece.angle if isinstance(piece, Arc) else 0.0]))[0]
+            begin += piece.length
+        return found
 
     def parametrised(self) -> list[dict]:
         """Segments with the range that counts as each: lines [m], arcs [rad]; end lines have no end.
@@ -201,9 +220,18 @@ class Axis:
         stations.append(begin)
         if after > 0:
             stations.append(begin + after)
-        points, _, normal, side = self.frame(np.array(stations))
+        return self.swept(np.array(stations), radius, facets)
+
+    def swept(self, stations: np.ndarray, radius: np.ndarray | float, facets: int) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle mesh, open at both ends and with normals inward, through rings of vertices at arc lengths [m].
+
+        `radius` of the rings [m] is one number or one for each of the `stations`. Returns vertices (v, 3) and faces
+        (f, 3).
+        """
+        points, _, normal, side = self.frame(stations)
         angle = 2 * np.pi * np.arange(facets) / facets
-        ring = radius * (np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None])
+        wide = np.reshape(radius, (-1, 1, 1))
+        ring = wide * (np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None])
         vertices = (points[:, None] + ring).reshape(-1, 3)
         row, column = np.meshgrid(np.arange(len(stations) - 1), np.arange(facets), indexing="ij")
         a = (row * facets + column).ravel()
@@ -216,3 +244,9 @@ class Axis:
         if np.sum(plain[: len(a)] * inward) < 0:
             faces = faces[:, ::-1]
         return vertices, np.ascontiguousarray(faces)
+
+
+def _turned(vector: np.ndarray, about: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """A vector (3,) turned about a unit vector by angles (n,) [rad] (Rodrigues), shape (n, 3)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return c * vector + s * np.cross(about, vector) + (1 - c) * (about @ vector) * about

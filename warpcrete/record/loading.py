@@ -12,7 +12,7 @@ import numpy as np
 from ..core.errors import RunFolderError, SceneError
 from ..core.files import read_json
 from ..core.parameters import declared_fields
-from ..core.run import Run
+from ..core.run import Run, Table
 from ..scenes import modules
 
 
@@ -41,7 +41,8 @@ def load(folder: Path | str) -> Run:
     path = folder / "result.json"
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")
-    return Run(scene, series, units, result, bool(result.get("finished")), folder=folder)
+    tables = {path.stem: Table(*_series(path)) for path in folder.glob("*.csv") if path.name != "series.csv"}
+    return Run(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
 
 
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:

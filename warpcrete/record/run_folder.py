@@ -9,6 +9,7 @@ from typing import Any, TextIO
 from ..core.errors import RunFolderError
 from ..core.files import cannot_write, check_new, whole_file, write_json
 from ..core.provenance import provenance
+from ..core.run import Table
 from ..core.run_loop import Recorder, Run, Simulation
 
 
@@ -91,3 +92,13 @@ class TableRecorder(Recorder):
             raise cannot_write(self._series, error) from error
         finally:
             write_json(self.folder / "result.json", run.result)
+        for name, table in run.tables.items():
+            _write_table(self.folder / f"{name}.csv", table)
+
+
+def _write_table(path: Path, table: Table) -> None:
+    """A table as series.csv has its rows."""
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{name} [{table.units[name]}]" for name in table.columns])
+        writer.writerows([[f"{value:.9g}" for value in row] for row in zip(*table.columns.values(), strict=True)])

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.units import quantity
 from ..mps.mixes import CONSTANTS
 from ..theory.pipe import Concrete
-from .lines import Part, PipeLine, layered
+from .lines import Part, PipeLine, friction, layered
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class LineResult:
         """What a part loses at the two ends of the band [Pa]."""
         factors = (1 / self.layer_factor, self.layer_factor)
         others = self.extremes or [layered(self.concrete, factor) for factor in factors]
-        return [lambda x, c=c: x.friction * x.part.friction(c, self.flow) / x.theory + x.weight for c in others]
+        return [lambda x, c=c: x.friction * friction(x.part, c, self.flow) / x.theory + x.weight for c in others]
 
     @property
     def band_words(self) -> str:
@@ -184,7 +184,7 @@ def draw(result: LineResult) -> Any:
     axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
     begin = 0.0
     for x in result.losses:
-        if x.part.kind != "straight":
+        if not x.part.by_length:
             axes.axvspan(begin, begin + x.part.length, color="C1" if x.part.kind == "bend" else "C2", alpha=0.35,
                          linewidth=0)  # fmt: skip
         begin += x.part.length

@@ -19,7 +19,7 @@ from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from ..theory.pipe import Concrete
 from .line_result import LineResult, Loss, draw, lines_of
-from .lines import Part, PipeLine
+from .lines import Part, PipeLine, friction, layered
 
 GRAVITY = 9.81
 """[m/s2]"""
@@ -78,10 +78,11 @@ def run_line(
         def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
-        called = _folder_name(part, cells)
-        result = None if known is None else _known(known / "parts", scenes[key])
+        called = folder_name(part) + ("" if part.by_length else f"-cells-{cells}")
+        folder = None if known is None else known_folder(known / "parts", scenes[key])
+        result = None if folder is None else read_json(folder / "result.json")
         if result is None:
-            recorders: list[Recorder] = [] if out is None else [TableRecorder(_free(out / "parts" / called))]
+            recorders: list[Recorder] = [] if out is None else [TableRecorder(free_folder(out / "parts" / called))]
             recorders.append(CheckRecorder(modules()[cases[key][0]].check))
             run = Simulation(scenes[key], device=device, threads=threads, recorders=recorders, progress=hear).run()
             if not run.finished:
@@ -93,8 +94,8 @@ def run_line(
         found[key] = _lost(part, result)
     losses = []
     for part in line.parts:
-        theory = part.friction(concrete, flow)
-        ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
+        theory = friction(part, concrete, flow)
+        ours = theory if not simulate else found[part.alike] * (part.length * part.curving if part.by_length else 1.0)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, band)
     if out is not None:
@@ -104,9 +105,10 @@ def run_line(
 
 def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
     """Scene and parameters that a kind of part is simulated by, without weight."""
+    concrete = layered(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
-    if part.kind == "straight":
+    if part.by_length:
         spacing = part.diameter / TUBE_CELLS
         step = min(5e-4, 0.4 * spacing / (flow / (math.pi * part.diameter**2 / 4)))
         return "tube", {**own, "ends": "periodic", "spacing": spacing, "time_step": step}
@@ -121,31 +123,32 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
 
 def _lost(part: Part, result: Mapping[str, Any]) -> float:
     """Friction of a bend or reducer [Pa], or of a straight pipe by the metre [Pa/m], from its run."""
-    if part.kind == "straight":
+    if part.by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
 
 
-def _folder_name(part: Part, cells: int) -> str:
-    if part.kind == "straight":
-        return f"straight-{1e3 * part.diameter:g}"
+def folder_name(part: Part) -> str:
+    """Of the runs of a kind of part."""
+    if part.by_length:
+        layer = "" if part.layer == 1 else f"-layer-{part.layer:g}"
+        return f"straight-{1e3 * part.diameter:g}{layer}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
-    return f"{part.kind}-{1e3 * part.diameter:g}-{shape}-cells-{cells}"
+    return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
 
 
-def _known(folder: Path, scene: Any) -> dict[str, Any] | None:
-    """result.json of a finished run of that very scene in a folder of runs."""
+def known_folder(folder: Path, scene: Any) -> Path | None:
+    """Of a finished run of that very scene in a folder of runs."""
     for here in sorted(folder.iterdir()):
-        record, result = here / "scene.json", here / "result.json"
-        if record.is_file() and result.is_file():
+        record = here / "scene.json"
+        if record.is_file() and (here / "result.json").is_file():
             same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
-            found = read_json(result)
-            if same and found.get("finished"):
-                return found
+            if same and read_json(here / "result.json").get("finished"):
+                return here
     return None
 
 
-def _free(folder: Path) -> Path:
+def free_folder(folder: Path) -> Path:
     """The folder, or one with a number behind where two kinds of part round to the same name."""
     count, free = 1, folder
     while free.exists():

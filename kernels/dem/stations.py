@@ -1,0 +1,118 @@
+"""Forces of all contacts as vectors, for stresses in slices of a pipe."""
+
+import functools
+
+import warp as wp
+
+from ..common.types import types, vector_functions
+from ..common.walls import wall_functions
+from .analytic_walls import surface_touch_function
+from .pairs import decode, pair_functions
+from .structs import array_structs
+
+
+@functools.cache
+def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
+    """Kernel over spheres of scene `s`: the force of every listed pair that counts, bond included, and of every contact
+    with a wall, on that sphere.
+
+    Springs in shear and bonds are as the last step left them, gaps and velocities as they are.
+    """
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Pairs, Walls = (
+        structs.Scenes, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
+    )  # fmt: skip
+    PairParameters, pair_force = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).force
+    WallParameters, wall_force_of = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).force
+    pair_touch = pair_functions(scalar).pair_touch
+    surface_touch = surface_touch_function(scalar)
+    shape = wall_functions(scalar)
+    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
+    xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def force_on(
+        i: wp.int32, j: wp.int32, k: wp.int32, sign: scalar, parameters: PairParameters, spheres: Spheres, pairs: Pairs
+    ):  # fmt: skip
+        pair = pair_touch(
+            spheres.position[i], spheres.velocity[i], spheres.spin[i], spheres.position[j], spheres.velocity[j],
+            spheres.spin[j], sign, scalar(0.0),
+        )  # fmt: skip
+        total = t.vec3()
+        if pair.touch.gap < scalar(0.0):
+            held = t.vec3()
+            if wp.static(history):
+                held = pairs.history[k]
+            push, unused, unused_loss = pair_force(parameters, pair.touch, held, scalar(0.0))
+            total = push
+        if wp.static(bonds):
+            if pairs.bond[k] > 0:
+                total = total + xyz(pairs.bond_force[k]) + pairs.bond_force[k][3] * pair.touch.normal
+        return sign * total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_forces(
+        # model
+        pair_parameters: wp.array(dtype=PairParameters),
+        wall_parameters: wp.array(dtype=WallParameters),
+        segments: wp.array(dtype=Segment),
+        # chunk
+        s: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
+        # state, read
+        scenes: Scenes,
+        spheres: Spheres,
+        slots: Slots,
+        pairs: Pairs,
+        walls: Walls,
+        # written
+        pair_push: wp.array(dtype=t.vec3),
+        wall_push: wp.array2d(dtype=t.vec3),
+        wall_arm: wp.array2d(dtype=t.vec3),
+    ):
+        i = first + wp.tid()
+        base = scenes.row[s].spheres
+        row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
+        first_entry = scenes.row[s].pairs
+        for k in range(first_entry + pairs.start[i + s], first_entry + pairs.start[i + s + 1]):
+            entry = pairs.other[k]
+            j = base + decode(entry)
+            counts = entry >= 0
+            if wp.static(half):
+                counts = counts or (j >= first and j < last)
+            push = t.vec3()
+            if counts:
+                sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
+                push = force_on(i, j, k, sign, pair_parameters[row + spheres.material[j]], spheres, pairs)
+            pair_push[k - first_entry] = push
+        x = xyz(spheres.position[i])
+        radius = spheres.position[i][3]
+        for slot in range(slots.history.shape[1]):
+            w = scenes.row[s].walls + slot
+            n = t.vec3()  # into the wall
+            gap = scalar(1.0)
+            if slot < scenes.row[s].analytic:
+                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
+                n = into_wall(walls.table[w], direction)
+                gap = distance - radius
+            elif slots.wall[i, slot] >= 0:
+                w = scenes.row[s].walls + slots.wall[i, slot]
+                n = slots.normal[i, slot]
+                gap = -slots.overlap[i, slot]
+            push = t.vec3()
+            arm = t.vec3()
+            if gap < scalar(0.0) and wp.length_sq(n) > scalar(0.0):
+                touch, point = surface_touch(
+                    walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, spheres.velocity[i],
+                    spheres.spin[i], scalar(0.0),
+                )  # fmt: skip
+                push, unused, unused_loss = wall_force_of(
+                    wall_parameters[row + walls.table[w].material], touch, slots.history[i, slot], scalar(0.0)
+                )
+                arm = (radius + gap) * n
+            wall_push[i - base, slot] = push
+            wall_arm[i - base, slot] = arm
+
+    return measure_forces

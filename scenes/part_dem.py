@@ -1,0 +1,182 @@
+"""A part of a line, or several in a row, full of aggregates that a piston pushes along, by discrete elements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import numpy as np
+
+from warpcrete.core.knobs import Trading
+from warpcrete.core.parameters import scene_function
+from warpcrete.core.run_loop import Run
+from warpcrete.dem import clumps
+from warpcrete.dem.containers import Fill, PipeContainer
+from warpcrete.dem.parts import Course, PartElements, course_of, part_knobs, plug_layers
+from warpcrete.dem.pumped import bonds_of, contact_of, fractions_of, hydration_of, sizes_of, wall_contact_of
+from warpcrete.dem.pumping import WIDEST_STONE
+from warpcrete.dem.scene import (
+    AxisDrive,
+    Bodies,
+    Bonds,
+    PipeUnit,
+    PressureProbe,
+    Scene,
+    Settle,
+    Stations,
+    TimeStep,
+    Watch,
+)
+from warpcrete.dem.sizes import Sizes
+from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Wall
+
+from .pipe import check as check_of_pipe
+from .pipe import plug_points
+
+
+@scene_function(PartElements)
+def scene(parameters: PartElements) -> Scene:
+    """Aggregates pushed through a part of a line, or through a line: pressure, and what a bend or taper adds to it.
+
+    The pipe begins with a run-up, in which the piston travels; the part, which begins at the origin, stays full. Slices
+    along it measure stress, stress on the wall, solid fraction and velocity (`stations.csv`), and of straight stretches
+    and what is between them their losses.
+
+    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    """
+    given = parameters
+    course = course_of(given)
+    axis, bores = course.axis, course.bores
+    sizes = sizes_of(given, 2 * bores.smallest)
+    pipe = _pipe(given, course)
+    bodies, drives, plug_bonds, plate = _plug(given, course)
+    inlet = float(bores.at(0.0))
+    return Scene(
+        name="part-dem",
+        duration=course.duration,
+        bodies=bodies,
+        fill=Fill(
+            container=_container(course, pipe),
+            sizes=sizes,
+            templates=clumps.templates(given.shapes, given.shape_spheres),
+            fractions=fractions_of(given.fractions),
+            density=given.density,
+            bulk_density=given.bulk_density,
+            solid_fraction=given.solid_fraction,
+            # Below that a packing has no pressure to speak of.
+            pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
+        ),
+        walls=(*plate, _piston(course, inlet), pipe),
+        drives=drives,
+        contact=contact_of(given),
+        contacts=wall_contact_of(given),
+        bonds=bonds_of(given),
+        hydration=hydration_of(given),
+        group_bonds=plug_bonds,
+        gravity=(0.0, 0.0, -given.gravity),
+        settle=Settle(duration=given.settle) if given.settle > 0 else None,
+        time_step=TimeStep(fixed=given.time_step, safety=given.safety, rounds=given.hydration_rounds),
+        watch=Watch(overlap=given.overlap_limit or None),
+        energy_balance=given.energy_balance,
+        precision=given.precision,
+        sample_interval=given.sample_interval,
+        seed=given.seed,
+        pressure=PressureProbe(wall="piston", area=math.pi * inlet**2),
+        pipe=PipeUnit(
+            name="line" if course.line is not None else given.unit,
+            axis=axis,
+            radius=inlet,
+            concrete_length=axis.length,
+            velocity=course.velocity,
+            ramp=course.ramp,
+            travel=course.travel,
+        ),
+        stations=_stations(given, course),
+        remarks=tuple(_remarks(given, course, sizes)),
+        parameters=asdict(given),
+    )
+
+
+def _pipe(given: PartElements, course: Course) -> PipeWall | MeshWall:
+    """An exact pipe, or triangles where it is not as wide everywhere."""
+    axis, bores = course.axis, course.bores
+    if bores.is_straight:
+        return PipeWall(name="pipe", axis=axis, radius=bores.radii[0])
+    outlet = float(bores.at(axis.length))
+    beyond = 2 * course.advance + plug_layers(given, 2 * outlet) * given.plug_ball + 2 * outlet
+    vertices, faces = bores.mesh(axis, given.facets, before=2 * bores.largest, after=beyond)
+    return MeshWall(name="pipe", vertices=vertices, faces=faces)
+
+
+def _container(course: Course, pipe: PipeWall | MeshWall) -> PipeContainer:
+    """What is packed: all of the pipe from the piston to its end, inside its true wall."""
+    length, least = course.axis.length, course.bores.smallest
+    if isinstance(pipe, PipeWall):
+        return PipeContainer(course.axis, least, length)
+    return PipeContainer(course.axis, least, length, pipe, bores=course.bores)
+
+
+def _piston(course: Course, radius: float) -> PlaneWall:
+    axis, speed = course.axis, course.velocity
+    motion = Prescribed(velocity=tuple((speed * np.array(axis.tangent)).tolist()), ramp_time=2 * course.ramp / speed)
+    return PlaneWall(name="piston", point=axis.start, normal=axis.tangent, motion=motion, drawn_radius=radius)
+
+
+def _plug(
+    given: PartElements, course: Course
+) -> tuple[tuple[Bodies, ...], tuple[AxisDrive, ...], dict[str, Bonds], tuple[Wall, ...]]:
+    """Bodies, drives and bonds of a plug of balls in the outlet, or a plate."""
+    axis, radius = course.axis, float(course.bores.at(course.axis.length))
+    area, density = math.pi * radius**2, given.bulk_density or given.density
+    if given.plug == "balls":
+        points = plug_points(axis, radius, axis.length, given.plug_ball, plug_layers(given, 2 * radius))
+        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
+        drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
+        # As in a pipe unit: stiff enough to keep its shape, soft enough not to govern the time step.
+        bonds = Bonds(
+            effective_modulus=2 * given.modulus, tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
+        )
+        return (bodies,), (drive,), {"plug": bonds}, ()
+    if given.plug == "plate":
+        points, tangents = axis.at(axis.length)
+        back = tuple((-tangents[0]).tolist())
+        mass = density * area * 2 * given.plug_ball
+        motion = Driven(direction=back, force=given.plug_pressure * area, mass=mass)
+        plate = PlaneWall(name="plug", point=tuple(points[0].tolist()), normal=back, motion=motion, drawn_radius=radius)
+        return (), (), {}, (plate,)
+    return (), (), {}, ()
+
+
+def _stations(given: PartElements, course: Course) -> Stations:
+    """Slices of equal length from where the part begins to its end."""
+    begin, end = course.travel, course.axis.length
+    count = max(1, round(given.slices * (end - begin) / (2 * float(course.bores.at(begin)))))
+    edges = np.linspace(begin, end, count + 1)
+    return Stations(
+        axis=course.axis, bores=course.bores, edges=tuple(edges.tolist()), origin=begin, middle=course.middle
+    )
+
+
+def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
+    """What is simplified or outside what is pumped."""
+    narrow = 2 * course.bores.smallest
+    if given.shapes == "spheres":
+        yield "aggregates are single spheres; --shapes reference uses the paper's clumps"
+    if sizes.largest > WIDEST_STONE * narrow:
+        yield (
+            f"the largest aggregates are {sizes.largest / narrow:.2g} of the narrowest bore wide; above "
+            f"{WIDEST_STONE:g} concrete is not pumped (ACI 304.2R)"
+        )
+    if not _stations(given, course).tells_losses:
+        yield "straight stretches are too short for their losses: two slices must lie a radius off their ends"
+    if course.line is not None:
+        yield from course.line.remarks()
+
+
+def check(run: Run) -> dict[str, tuple[bool, str]]:
+    """Acceptance of a run through a part: name -> (passed, what was found)."""
+    return check_of_pipe(run)
+
+
+trading = Trading(part_knobs, ("end_pressure",))

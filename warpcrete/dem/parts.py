@@ -1,0 +1,214 @@
+"""Parts of a line that aggregates are pushed through: what there is to choose, and where the pipe goes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from ..core.concretes import is_file
+from ..core.errors import refuse
+from ..core.knobs import Knob, Level, precisions, scaled
+from ..core.parameters import Above, FileIf, Needs, OneOf, Within, declared_fields
+from ..geometry.axis import Arc, Axis, Line
+from ..geometry.bores import FACETS, Bores
+from ..geometry.lines import PipeLine, read_line
+from .concretes import elements_of
+from .pumping import (
+    COARSENINGS,
+    UPRIGHT,
+    WIDEST_STONE,
+    AggregateParameters,
+    BondParameters,
+    ConcreteChoice,
+    ContactParameters,
+    PlugParameters,
+    RunParameters,
+    coarser,
+)
+
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level")
+ALONE = Needs("line", lambda line: line is None, "is not given")
+
+
+def _is_given(value: Any) -> bool:
+    return value is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CourseParameters:
+    """Pipe."""
+
+    unit: Annotated[str, "how the pipe goes: straight up or level, or with a bend between two straight stretches",
+                    OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
+    diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
+    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
+                        ALONE] = 0.3  # fmt: skip
+    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above(), ALONE] = 0.25
+    angle: Annotated[float, "of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+    outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
+                               "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
+    taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
+                     Above()] = 0.3  # fmt: skip
+    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these; it must "
+                    "begin and end straight", FileIf(is_file)] = None  # fmt: skip
+    facets: Annotated[int, "round a pipe with a cone, which is made of triangles", Within(8, 1000)] = FACETS
+    slices: Annotated[float, "per diameter, in which stress, solid fraction and velocity are measured",
+                      Within(0.5, 20)] = 2.0  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushParameters:
+    """Piston."""
+
+    flow: Annotated[float, "volume that the piston displaces in the end [m3/s]", Above()] = 1500e-6
+    travel: Annotated[float | None, "of the piston, in pipe ahead of the part; default: two diameters [m]",
+                      Above()] = None  # fmt: skip
+    ramp: Annotated[float | None, "travel over which its speed rises linearly; default: half of the travel [m]",
+                    Within(0)] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartElements(
+    CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
+    PlugParameters, RunParameters,
+):  # fmt: skip
+    """Concrete, a part of a line, and what pushes it."""
+
+    @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        groups = (AggregateParameters, ContactParameters, BondParameters)
+        return "elements", tuple(name for group in groups for name in declared_fields(group))
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        return elements_of(values, cls.of_concrete()[1], cls.concrete)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.ramp is not None and self.travel is not None and self.ramp > self.travel:
+            refuse("ramp", self.ramp, f"must not exceed the travel, {self.travel:g} m")
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where a pipe goes, from the piston at rest: its run-up first, then the part."""
+
+    axis: Axis
+    bores: Bores
+    travel: float
+    """Of the piston [m]."""
+    ramp: float
+    """[m]"""
+    velocity: float
+    """Of the piston in the end [m/s]."""
+    middle: tuple[float, float] | None
+    """Arc lengths between which the part is no straight pipe [m]."""
+    line: PipeLine | None = None
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of the travel [s]."""
+        # The speed rises linearly in time.
+        return 2 * self.ramp / self.velocity + (self.travel - self.ramp) / self.velocity
+
+    @property
+    def advance(self) -> float:
+        """By how much the front moves on while the piston travels [m]."""
+        return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
+
+
+def course_of(given: PartElements) -> Course:
+    """Axis and bores of a part, or of a line, with the piston's run-up before them."""
+    line = None
+    if given.line is not None:
+        line = read_line(given.line)
+        axis, bores = line.axis, line.bores
+        odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
+        ends = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+        middle = (float(ends[odd[0]]), float(ends[odd[-1] + 1])) if odd else None
+        for place in (0, -1):
+            if line.parts[place].kind != "straight":
+                refuse("line", given.line, f"must begin and end straight: part {line.parts[place].number} is a "
+                       f"{line.parts[place].kind}", "put a straight part there")  # fmt: skip
+    else:
+        axis, bores, middle = _part(given)
+    diameter = 2 * bores.radii[0]
+    velocity = given.flow / (math.pi * bores.radii[0] ** 2)
+    travel = 2 * diameter if given.travel is None else given.travel
+    ramp = 0.5 * travel if given.ramp is None else given.ramp
+    first = axis.pieces[0]
+    assert isinstance(first, Line)
+    start = np.array(axis.start) - travel * np.array(axis.tangent)
+    whole = Axis(tuple(start.tolist()), axis.tangent, (Line(first.length + travel), *axis.pieces[1:]))
+    _check_ends(whole, bores, travel)
+    moved = Bores(tuple(travel + place for place in bores.places), bores.radii)
+    shifted = None if middle is None else (middle[0] + travel, middle[1] + travel)
+    return Course(whole, moved, travel, ramp, velocity, shifted, line)
+
+
+def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
+    """Of a single part: its axis from the origin, its bores, and where it is no straight pipe."""
+    origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    radius, straight = given.diameter / 2, given.straight
+    narrows = given.outlet_diameter is not None
+    # The cone lies in the middle of a straight unit, and a stretch behind a bend.
+    narrowing = straight + given.taper if narrows else 0.0
+    if not given.unit.startswith("bend"):
+        pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)
+        axis = Axis(origin, up if given.unit == "vertical" else along, pieces)
+        begin, middle = straight, None
+    else:
+        if given.elbow_radius <= radius:
+            refuse("elbow_radius", given.elbow_radius, f"must exceed the pipe's radius, {radius:g} m")
+        tangent = up if given.unit == "bend-to-horizontal" else along
+        towards = {"bend-to-horizontal": along, "bend-to-vertical": up, "bend-level": aside}[given.unit]
+        arc = Arc(given.elbow_radius, math.radians(given.angle), towards)
+        axis = Axis(origin, tangent, (Line(straight), arc, Line(straight + narrowing)))
+        begin, middle = 2 * straight + arc.length, (straight, straight + arc.length)
+    if given.outlet_diameter is None:
+        return axis, Bores((0.0,), (radius,)), middle
+    bores = Bores((begin, begin + given.taper), (radius, given.outlet_diameter / 2))
+    return axis, bores, (middle[0] if middle else begin, begin + given.taper)
+
+
+def _check_ends(axis: Axis, bores: Bores, travel: float) -> None:
+    """Refuse a pipe that comes back to the endless planes which the piston and the front are."""
+    s = np.linspace(0, axis.length, 400)
+    points, tangents = axis.at(s)
+    piston, _ = axis.at(travel)
+    reach = bores.largest
+    ahead = (points - piston) @ tangents[0]
+    if np.any(ahead[s > travel + 2 * reach] < reach):
+        refuse("line", f"{axis.length:.3g} m", "comes back past the plane of the piston", "cut it, or turn it less")
+    behind = (points[-1] - points) @ tangents[-1]
+    if np.any(behind[s < axis.length - 2 * reach] < reach):
+        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it ends", "cut it, or turn it less")
+
+
+def plug_layers(given: PartElements, diameter: float) -> int:
+    """Layers of the plug's balls: as many as stay upright, where the pipe is not upright itself."""
+    if given.plug_layers is not None:
+        return given.plug_layers
+    return max(2, math.ceil(UPRIGHT * diameter / given.plug_ball - 1e-9))
+
+
+def part_knobs(given: PartElements) -> Iterator[Knob]:
+    """What trades accuracy for time in a part."""
+    if given.time_step is None:
+        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
+    yield precisions()
+    bores = course_of(given).bores
+    if given.sizes in ("gaussian", "uniform"):
+        widest = max(2 * WIDEST_STONE * bores.smallest / given.size_max, 1.0)
+        yield Knob("coarse-graining", tuple(coarser(given, c) for c in COARSENINGS if c <= widest), True)
+    if given.shapes == "reference":
+        yield Knob(
+            "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
+        )
+    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if given.settle > 0:
+        yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")
