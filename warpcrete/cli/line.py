@@ -65,17 +65,12 @@ def run(
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
-    _print(
-        given,
-        name,
-        rate,
-        found,
-        packed,
-        folder,
-        moved
-        and f"after {rest:g} s of rest, grown by {growth:g} Pa/s, it "
-        f"moves from {moved[0]:.4g} bar on; {moved[1]:.4g} bar set it going at that flow at once (theory)",
-    )
+    _print(given, name, rate, found, packed, folder)
+    if moved:
+        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {moved[0]:.4g} bar on; "
+                   f"{moved[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
+    if (found is not None and found.failed) or (packed is not None and packed.failed):
+        raise SystemExit(CHECK_FAILED)
 
 
 def _print(
