@@ -165,7 +165,7 @@ def _begun(
         device=settings.get("device"),
         precision=settings.get("precision", PRECISIONS[0]),
         **_where(settings),
-        frames=settings.get("frames", 25.0),
+        frames=settings.get("frames"),
         checkpoint_every=settings.get("checkpoint-every", 60.0),
         progress=tell,
         **{name: settings[name] for name in RECORDED},

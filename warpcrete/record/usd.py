@@ -66,7 +66,7 @@ class UsdRecorder(Recorder):
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-        stage.SetFramesPerSecond(round(1 / simulation.frame_interval) or 1)
+        stage.SetFramesPerSecond(round(1 / simulation.frames.interval) or 1)
         root = UsdGeom.Xform.Define(stage, "/Run")
         stage.SetDefaultPrim(root.GetPrim())
         rigid = display.rigid_bodies()

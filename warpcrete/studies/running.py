@@ -41,7 +41,7 @@ def simulation_of(
         precision=record.get("precision"),
         threads=record.get("threads", 1),
         recorders=recorders_of(here, module.check, command),
-        frame_interval=1.0 / command["frames"],
+        frame_interval=1.0 / command["frames"] if command["frames"] else None,
         progress=tell,
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,

@@ -147,7 +147,7 @@ def run_study(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float = 25.0,
+    frames: float | None = None,
     checkpoint_every: float = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -196,7 +196,7 @@ def run_listed(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float = 25.0,
+    frames: float | None = None,
     checkpoint_every: float = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -206,7 +206,8 @@ def run_listed(
 ) -> Study:
     """Run a study of cases that stand in a list, with or without a figure; see :func:`run_study`."""
     cases = list(cases)
-    positive("frames", frames, "1/s")
+    if frames is not None:
+        positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
