@@ -28,8 +28,8 @@ from .probes import chunks_of, largest_of, pair_forces, pairs_of
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 BONDS = (230, 140, 30)
 OURS = (215, 95, 30)
-STRONGEST, THINNEST = 0.5, 0.04
-"""Of the smallest sphere's radius, a chain's at the top of the colours' scale; of that, one that carries nothing."""
+STRONGEST, THINNEST = 0.12, 0.04
+"""Of the largest aggregate, a chain's radius at the top of the colours' scale; of that, one that carries nothing."""
 RINGS = 10
 """Of a velocity profile from axis to wall."""
 STRETCH = (0.2, 0.8)
@@ -54,6 +54,7 @@ class ElementDisplay(Display):
         """Top of the colour scale: a strong contact force, 1.5 times the steady speed, the largest size."""
         scene = self.simulation.scene
         largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
+        self._thick = STRONGEST * largest
         self._strong = 0.05 * scene.contact.stress_scale * largest**2
         if self.colouring == "size":
             return largest
@@ -192,11 +193,10 @@ class ElementDisplay(Display):
         bonded = np.zeros_like(touching)
         if self.simulation.model.features.bonds:
             bonded = self.read("pairs.bond")[place] > 0
-        thick = STRONGEST * float(position[:, 3].min(initial=np.inf))
 
         def lines(chosen: np.ndarray) -> Lines:
             ends = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
-            radii = np.maximum(thick * np.clip(force[chosen] / self._strong, 0, 1), THINNEST * thick)
+            radii = self._thick * np.clip(force[chosen] / self._strong, THINNEST, 1)
             colours = np.where(force[chosen, None] > 0, on_palette(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 

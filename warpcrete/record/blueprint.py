@@ -13,6 +13,8 @@ from .legend import legend_title
 PAPER = (250, 250, 250)
 PLAYED = 8.0
 """Seconds that a run of less simulated time plays for."""
+SLIM = 0.4
+"""Width over height, or height over width, of what is seen best with all views side by side."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths of what the whole scene is drawn without."""
 
@@ -21,10 +23,7 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
     """Views of what the recorder logs of a display, of a run that takes `duration` [s] about."""
     import rerun.blueprint as rrb
 
-    lower, upper = display.bounds()
-    beside = upper[2] - lower[2] > 0.8 * (upper[0] - lower[0])
-    row = rrb.Horizontal if beside else rrb.Vertical
-    scenes: Any = row(*_scenes(display, network))
+    scenes = _arranged(display, _scenes(display, network))
     if legend:
         bar = rrb.Spatial2DView(name=legend_title(display), origin="legend", background=PAPER)
         scenes = rrb.Vertical(scenes, bar, row_shares=[8, 1])
@@ -37,6 +36,18 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _arranged(display: Display, views: list[Any]) -> Any:
+    """Beside one another where what there is to see is tall, below one another where it is long."""
+    import rerun.blueprint as rrb
+
+    wide, _, high = np.ptp(display.bounds(), axis=0)
+    if wide < SLIM * high:
+        return rrb.Horizontal(*views)
+    if high < SLIM * wide or len(views) == 1:
+        return rrb.Vertical(*views)
+    return rrb.Horizontal(views[0], rrb.Vertical(*views[1:]), column_shares=[3, 2])
 
 
 def _scenes(display: Display, network: bool) -> list[Any]:

@@ -15,8 +15,8 @@ from .legend import meaning
 LOOKS = "/Run/Looks"
 CLEAR = 0.14
 """Opacity of glass, at least."""
-SUN, SKY = 2.2, 0.55
-"""Intensities of the light from one side, and of that from all around."""
+SUN, SKY = 0.6, 0.5
+"""Intensities of the light from one side, whatever the size of its disc, and of that from all around."""
 SUN_ANGLE = 4.0
 """Of its disc [degrees]: soft edges of shadows."""
 
@@ -49,6 +49,7 @@ def light(stage: Any, display: Display) -> None:
     sun = UsdLux.DistantLight.Define(stage, "/Run/Lights/Sun")
     sun.CreateIntensityAttr(SUN)
     sun.CreateAngleAttr(SUN_ANGLE)
+    sun.CreateNormalizeAttr(True)
     eye, target = display.view(1.0)
     toward = eye - target
     side = np.cross([0.0, 0.0, 1.0], toward)
