@@ -6,7 +6,9 @@ import difflib
 import os
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +76,7 @@ class Run:
 
         Raises :class:`WarpcreteError` where pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise WarpcreteError(
-                "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
-            ) from None
-        found = pandas.DataFrame(self.series)
-        if "time" in found:
-            found = found.set_index("time")
-        found.attrs["units"] = dict(self.units)
-        return found
+        return dataframe(self.series, self.units, "time")
 
     def plot(self, *columns: str, against: str = "time") -> Any:
         """Matplotlib figure of columns of the series over another one; those of one unit share an axis.
@@ -130,11 +122,38 @@ class Run:
         rows = []
         for name, entry in self.result.items():
             if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
-                rows.append(f"<tr><td>{name}</td><td>{entry['value']:.6g} {entry['unit']}</td></tr>")
+                rows.append((name, f"{entry['value']:.6g} {entry['unit']}"))
             elif isinstance(entry, bool | int | float | str):
-                text = f"{entry:.6g}" if isinstance(entry, float) else entry
-                rows.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
-        return f"<table>{''.join(rows)}</table>"
+                rows.append((name, f"{entry:.6g}" if isinstance(entry, float) else entry))
+        return html_table(rows)
+
+
+def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) -> Any:
+    """A pandas DataFrame with a column as index, if it is there, and the units of the columns in `attrs["units"]`.
+
+    Raises :class:`WarpcreteError` where pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise WarpcreteError(
+            "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
+        ) from None
+    found = pandas.DataFrame(dict(columns))
+    if index in found:
+        found = found.set_index(index)
+    found.attrs["units"] = dict(units)
+    return found
+
+
+def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
+    """Cells as a table of HTML."""
+    found = [f"<caption>{escape(caption)}</caption>"] if caption else []
+    if head:
+        found.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
+    for row in rows:
+        found.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>")
+    return f"<table>{''.join(found)}</table>"
 
 
 def viewer(run: Path, web: bool = False) -> list[str]:
