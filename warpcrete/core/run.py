@@ -6,15 +6,15 @@ import difflib
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import RunFolderError, WarpcreteError, refuse
+from .html import html_table
 from .units import number, shown
 
 COURSES = ("pressure", "spread", "front", "inside")
@@ -144,16 +144,6 @@ def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) 
         found = found.set_index(index)
     found.attrs["units"] = dict(units)
     return found
-
-
-def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
-    """Cells as a table of HTML."""
-    found = [f"<caption>{escape(caption)}</caption>"] if caption else []
-    if head:
-        found.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
-    for row in rows:
-        found.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>")
-    return f"<table>{''.join(found)}</table>"
 
 
 def viewer(run: Path, web: bool = False) -> list[str]:

@@ -13,7 +13,7 @@ from .legend import legend_title
 PAPER = (250, 250, 250)
 PLAYED = 8.0
 """Seconds that a run of less simulated time plays for."""
-SLIM = 0.4
+SLIM = 0.25
 """Width over height, or height over width, of what is seen best with all views side by side."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths of what the whole scene is drawn without."""

@@ -19,10 +19,11 @@ import numpy as np
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.html import html_table
 from ..core.method import Quantity
 from ..core.parameters import declared_fields
 from ..core.provenance import provenance
-from ..core.run import Run, dataframe, html_table
+from ..core.run import Run, dataframe
 from ..core.units import number, shown
 from ..methods import method_of
 from ..record.checks import failed_checks
