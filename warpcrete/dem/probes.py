@@ -212,11 +212,11 @@ def largest_forces(model: Model, state: State) -> np.ndarray:
 
 def largest_of(i: np.ndarray, j: np.ndarray, force: np.ndarray, body: np.ndarray, bodies: int) -> np.ndarray:
     """Largest of the forces of pairs of spheres [N] on each body, of the spheres' bodies; zero where none presses."""
-    result = np.zeros(bodies)
+    result = np.zeros(bodies, force.dtype)  # of another type, NumPy takes sixty times as long
     pressing = force > 0
     for sphere in (i, j):
         np.maximum.at(result, body[sphere[pressing]], force[pressing])
-    return result
+    return result.astype(float)
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
