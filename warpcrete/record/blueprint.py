@@ -47,7 +47,7 @@ def _arranged(display: Display, views: list[Any]) -> Any:
         return rrb.Horizontal(*views)
     if high < SLIM * wide or len(views) == 1:
         return rrb.Vertical(*views)
-    return rrb.Horizontal(views[0], rrb.Vertical(*views[1:]), column_shares=[3, 2])
+    return rrb.Horizontal(views[0], rrb.Vertical(*views[1:]), column_shares=[3, 2] if len(views) > 2 else [1, 1])
 
 
 def _scenes(display: Display, network: bool) -> list[Any]:
