@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from warpcrete import scenes
 from warpcrete.core.device import default_threads, find_device
 from warpcrete.core.run_loop import Run
-from warpcrete.mps import theory
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.stepping import run_abreast
+from warpcrete.theory import pipe as theory
 
 MIXES = ("no1", "no2", "no3")
 FEW = 6  # mixes for a mean

@@ -29,7 +29,7 @@ EDGE = 0.01
 class FunnelElements(VesselParameters):
     """Funnel; its measures are those of EN 12350-9."""
 
-    HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0}
+    HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0, "plastic": 1.0}
 
     top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
     outlet_width: Annotated[float, "[m]", Above()] = 0.065

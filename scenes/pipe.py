@@ -19,9 +19,11 @@ from warpcrete.core.parameters import Above, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem import clumps
+from warpcrete.dem.blocked import blocked_words
+from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact, ContactLaw, LubricationLayer
-from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, pumping_knobs
+from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     AxisDrive,
     Bodies,
@@ -30,6 +32,7 @@ from warpcrete.dem.scene import (
     PipeUnit,
     PressureProbe,
     Published,
+    Rest,
     Scene,
     Settle,
     TimeStep,
@@ -55,6 +58,8 @@ FEWEST = 30
 MOST_BALLS = 600_000
 LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
+LAST_OF_PAUSE = 0.05
+"""Part of the last pause that is left when the rest is put in."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -115,10 +120,13 @@ def scene(parameters: PipeParameters) -> Scene:
             velocity=given.velocity,
             ramp=given.ramp,
             travel=given.distance,
+            stops=given.stops,
         ),
+        rest=_rest(given),
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
+        **asked_of(given),
     )
 
 
@@ -132,15 +140,19 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
     # The last step ends past the duration.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
+    blocked = bool(result.get("blocked"))
+    whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
     found = {
         "finished": (
-            run.finished and result["steps"] > 0 and abs(travel - goal) < 1e-3 * goal + step,
+            run.finished and result["steps"] > 0 and whole,
             f"travel {travel:.4g} of {goal:.4g} m",
         ),
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
+    if blocked:
+        found["not blocked"] = (False, blocked_words(run))
     passed = _past_plug(run)
     if passed is not None:
         found["plug holds"] = (
@@ -215,9 +227,10 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
         turn = np.cross(axis.tangent, arc.towards)
         centre = np.array(axis.start) + given.elbow_radius * np.array(arc.towards)
         spin = tuple(given.velocity / given.elbow_radius * turn)
-        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time)
+        motion = Prescribed(spin=spin, pivot=tuple(centre), ramp_time=given.ramp_time, stops=given.stops)
     else:
-        motion = Prescribed(velocity=tuple(given.velocity * np.array(axis.tangent)), ramp_time=given.ramp_time)
+        velocity = tuple(given.velocity * np.array(axis.tangent))
+        motion = Prescribed(velocity=velocity, ramp_time=given.ramp_time, stops=given.stops)
     return PlaneWall(
         name="piston",
         point=tuple(points[0]),
@@ -333,6 +346,16 @@ def _hydration(given: PipeParameters) -> Hydration | None:
     )
 
 
+def _rest(given: PipeParameters) -> Rest | None:
+    if not given.rest or given.stops is None:
+        return None
+    # Just before the piston starts again.
+    at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
+    return Rest(
+        at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
+    )
+
+
 def _sizes(given: PipeParameters) -> Sizes:
     found = _distribution(given)
     if found.largest >= given.diameter:
@@ -410,6 +433,12 @@ def _is_reference(given: PipeParameters) -> bool:
         "energy_balance",
         "overlap_limit",
         "time_step",
+        "wear",
+        "wear_coefficient",
+        "wear_patch",
+        "segregation",
+        "blocked_travel",
+        "stop_when_blocked",
     }
     if given.concrete not in OF_THE_PAPER:
         return False

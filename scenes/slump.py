@@ -13,8 +13,8 @@ from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
-from warpcrete.mps.free.theory import cone_volume, long_heap_spread
 from warpcrete.mps.mixes import CONSTANTS
+from warpcrete.theory.vessels import cone_volume, long_heap_spread
 
 PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
 """Slumps that Xu, Li & Jiang 2021 measured of their concretes [m]."""

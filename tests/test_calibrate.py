@@ -14,12 +14,12 @@ from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
 from warpcrete.methods import method_of
-from warpcrete.mps.theory import CONCRETES
 from warpcrete.scenes import modules
 from warpcrete.studies.calibrate import calibrate, resume_calibration
 from warpcrete.studies.calibration_report import concrete_of
 from warpcrete.studies.posterior import told_apart
 from warpcrete.studies.targets import read_task, task_of
+from warpcrete.theory.pipe import CONCRETES
 
 SEARCH = importlib.import_module("warpcrete.studies.calibrate")
 SLUMP = {"scene": "slump", "parameters": {"concrete": "own", "density": 2350.0}}

@@ -17,12 +17,12 @@ from warpcrete.core.files import read_json
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.mps.column import check_flow
-from warpcrete.mps.mixes import mortar_of
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.simulation import FluidSimulation
 from warpcrete.mps.state import FluidState
-from warpcrete.mps.theory import CONCRETES
 from warpcrete.record.run_folder import TableRecorder
+from warpcrete.theory.pipe import CONCRETES
+from warpcrete.theory.suspension import mortar_of
 
 
 @pytest.mark.parametrize("name", CONCRETES)

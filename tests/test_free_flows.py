@@ -17,11 +17,11 @@ from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import surface
 from warpcrete.mps.free.scene import FreeScene
 from warpcrete.mps.free.simulation import FreeSimulation
-from warpcrete.mps.free.theory import cone_volume
 from warpcrete.mps.grid.geometry import GATE, NONE
 from warpcrete.mps.grid.state import SLOT_BYTES
-from warpcrete.mps.theory import Concrete
 from warpcrete.scenes import modules
+from warpcrete.theory.pipe import Concrete
+from warpcrete.theory.vessels import cone_volume
 
 PASTE = Concrete(density=2000.0, viscosity=10.0, yield_stress=0.0, slip_viscosity=900.0, slip_yield=0.0)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warpcrete.mps.free.theory import (
+from warpcrete.theory.vessels import (
     HEAPS,
     box_at_rest,
     cone_volume,

@@ -297,7 +297,7 @@ def kernels_of_a_step(pick):
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
                 links.link_kernel(batch.scalar, law, True, True, True, True, True, links.WARP),
-                links.surface_kernel(batch.scalar, wall_law, True, True, links.WARP),
+                links.surface_kernel(batch.scalar, wall_law, True, True, False, links.WARP),
                 *body_kernels(batch.scalar, True, False, True),
                 pair_kernel(batch.scalar, law, False, True, True, True),
             ]

@@ -1,5 +1,6 @@
 """Every contact law behind the one interface: forces, history, losses, and a new law in a few lines."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,12 +12,22 @@ from conftest import by_id
 from test_contacts import DENSITY, K_PAIR, MASS, NO_GRAVITY, RADIUS, two_spheres
 
 from warpcrete.core.errors import SceneError
-from warpcrete.dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer, damping_ratio
+from warpcrete.dem.laws import (
+    BinghamMortar,
+    Contact,
+    ContactLaw,
+    HertzMindlin,
+    LubricationLayer,
+    PlasticMortar,
+    damping_ratio,
+)  # fmt: skip
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.vessels import CONTACTS
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.contact_law import contact_functions
+from warpcrete.scenes import modules
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,19 +215,81 @@ def test_mortar_yields_flows_and_hands_over_to_the_core(start):
         assert -force[0] == pytest.approx(shear, rel=1e-6)
 
 
+def test_plastic_shells_slip_in_the_direction_of_the_motion(start):
+    """Slid along a wall the whole slider lies across the normal, what loaded it before is forgotten; the drag is that
+    of the whole velocity."""
+    law = PlasticMortar(
+        effective_modulus=1e6, shell_fraction=0.1, shell_modulus=2e4, yield_stress=80.0, plastic_viscosity=3.0,
+        friction=0.3, normal_damping_ratio=0.0, tension=2.0,
+    )  # fmt: skip
+    area, shell = math.pi * RADIUS**2, 0.1 * RADIUS
+    for depth in (0.05 * RADIUS, 0.15 * RADIUS):
+        stepper = start(sheared_wall(law, depth=depth, speed=0.2, dt=2e-6))
+        stepper.advance(0.05)
+        force = stepper.state.walls.force.numpy()[0]
+        core = 1e6 * area / RADIUS * max(depth - shell, 0)
+        assert -force[2] == pytest.approx(2e4 * area / shell * depth + core - 2.0 * 80.0 * area, rel=1e-6)
+        assert -force[0] == pytest.approx(0.3 * core + 80.0 * area + 3.0 * area / shell * 0.2, rel=1e-6)
+
+
+def test_plastic_shells_yield_as_von_mises_in_any_strain():
+    """Means over all directions n of |D n| and its square, from which the law of a concrete's yield stress follows."""
+    count = 100_000
+    z = (2 * np.arange(count) + 1) / count - 1
+    angle = np.pi * (1 + math.sqrt(5)) * np.arange(count)
+    n = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], 1)
+    shear, extension = 0.5 * np.eye(3)[[1, 0, 2]] * [1, 1, 0], np.diag([1.0, -0.5, -0.5])
+    means = [np.mean(np.linalg.norm(n @ D, axis=1)) for D in (shear, extension)]
+    assert means[0] == pytest.approx(math.pi / 8, rel=1e-5)
+    assert means[1] / means[0] == pytest.approx(math.sqrt(3), rel=0.015)
+    squares = [np.mean(np.sum((n @ D) ** 2, axis=1)) for D in (shear, extension)]
+    assert squares == pytest.approx([1 / 6, 1 / 2], rel=1e-5)
+    given = modules()["slump-dem"].scene(law="plastic", yield_stress=120.0, viscosity=7.0, shell_fraction=0.08)
+    law, filled = given.contact, 0.75 * CONTACTS * 0.66
+    assert law.yield_stress * filled * means[0] == pytest.approx(120.0, rel=1e-5)
+    assert law.plastic_viscosity / 0.08 * filled * squares[0] == pytest.approx(7.0, rel=1e-5)
+    # On what it flows on a lone sphere does not roll away.
+    assert law.bending == 0 and given.contacts["aggregate", "plate"].bending > 0.7
+
+
+def test_the_force_of_plastic_shells_turns_with_the_pair(start):
+    """Two spheres that turn about one another as one body, held together by nothing but what their spring holds, the
+    centripetal force: they stay on their circle only if it turns with them."""
+    law = PlasticMortar(
+        effective_modulus=1.0, shell_modulus=1.0, yield_stress=1e5, plastic_viscosity=0.0, friction=0.0,
+        normal_damping_ratio=0.0, tension=0.0,
+    )  # fmt: skip
+    spin, apart = 20.0, 2 * RADIUS * 0.98
+    scene = two_spheres(velocity=(0.0, 0.0, 0.0), contact=law, dt=1e-4)
+    places = np.array([[-apart / 2, 0, 0], [apart / 2, 0, 0]])
+    bodies = dataclasses.replace(
+        scene.bodies[0], positions=places, velocities=np.cross([0, 0, spin], places), spins=[[0, 0, spin]] * 2
+    )
+    stepper = start(dataclasses.replace(scene, bodies=(bodies, *scene.bodies[1:])))
+    stepper.take(1)
+    history = stepper.state.pairs.history.numpy()
+    history[0] = [MASS * spin**2 * apart / 2, 0, 0]
+    stepper.state.pairs.history.assign(history)
+    for turn in (0.5, 1.0, 1.5):
+        stepper.advance(turn / spin)
+        place = by_id(stepper.state, "position")
+        n = place[1, :3] - place[0, :3]
+        assert np.linalg.norm(n) == pytest.approx(apart, rel=1e-2)
+        assert np.arctan2(n[1], n[0]) == pytest.approx(turn, abs=0.01)
+
+
 LAWS = {
     "linear": Contact(friction=0.3, normal_damping_ratio=0.2, shear_damping_ratio=0.1),
     "hertz_mindlin": HertzMindlin(effective_modulus=1e7, effective_shear_modulus=3e6, friction=0.3, restitution=0.7),
     "lubrication": LubricationLayer(contact=Contact(friction=0.1), yield_stress=100.0, viscosity=200.0),
     "mortar": BinghamMortar(effective_modulus=1e5, shell_modulus=1e4, yield_stress=50.0, plastic_viscosity=1.0),
+    "plastic": PlasticMortar(effective_modulus=1e5, shell_modulus=1e4, yield_stress=50.0, plastic_viscosity=1.0),
 }
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_what_an_oblique_impact_loses_is_booked(start, law):
     # Kinetic energy before, less after, is what friction and dashpots took; first order in dt.
-    import dataclasses
-
     errors = []
     for dt in (8e-6, 2e-6):
         scene = two_spheres(

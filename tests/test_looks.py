@@ -12,12 +12,12 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.display import DrawnWall
 from warpcrete.core.frames import LEAST, SLOWEST, Frames
 from warpcrete.core.run_loop import Recorder
-from warpcrete.mps.theory import velocity
 from warpcrete.record.blueprint import behind, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
 from warpcrete.record.usd_looks import linear
+from warpcrete.theory.pipe import velocity
 
 TUBE = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, SceneError, WarpcreteError
 from warpcrete.dem.containers import Fill, PipeContainer
-from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
+from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer, PlasticMortar
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.restoring import state_hash
 from warpcrete.dem.scene import AxisDrive, Bodies, Bonds, Hydration, Scene, Settle, TimeStep, Watch
@@ -33,6 +33,7 @@ PARTS = {
     HertzMindlin: ("effective_modulus", "effective_shear_modulus", "friction", "restitution", "unloading"),
     LubricationLayer: ("yield_stress", "viscosity"),
     BinghamMortar: ("effective_modulus", "shell_fraction", "shell_modulus", "yield_stress", "plastic_viscosity"),
+    PlasticMortar: ("yield_stress", "tension", "bending"),
     Bonds: (
         "effective_modulus", "tensile_strength", "cohesion", "friction_angle", "radius_multiplier", "moment_factor",
         "gap",
@@ -109,6 +110,7 @@ def small_scenes(draw):
                 HertzMindlin.of(modulus, 0.3, friction=friction, restitution=0.5),
                 LubricationLayer(contact=Contact(effective_modulus=modulus), yield_stress=50.0, viscosity=300.0),
                 BinghamMortar(effective_modulus=modulus, friction=friction),
+                PlasticMortar(effective_modulus=modulus, friction=friction),
             ]
         )
     )

@@ -6,11 +6,11 @@ import math
 import pytest
 from pumping import command
 
-from warpcrete import SceneError
+from warpcrete import RunFolderError, SceneError
 from warpcrete.scenes import modules
 from warpcrete.studies import papers
-from warpcrete.studies.papers import CONCRETES, ZHAN, flat, growing, late, linear, narrow, zhan_case
-from warpcrete.studies.reproduce import reproduce, zhan_studies
+from warpcrete.studies.papers import CONCRETES, OPEN, ZHAN, flat, growing, late, linear, narrow, overrides, zhan_case
+from warpcrete.studies.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
 from warpcrete.studies.reproduction import Reproduction, judged, key_of
 from warpcrete.studies.reproduction_report import write
 
@@ -44,7 +44,7 @@ def test_every_case_of_the_paper_makes_a_scene():
     found = Reproduction(None, "zhan", False, 2, "cpu")
     pipe = modules()["pipe"].scene
     studies = zhan_studies(found)
-    assert [group for group, *_ in studies] == [*CONCRETES, "calibrated, hydrated", "literal, hydrated"]
+    assert [group for group, *_ in studies] == [*CONCRETES, *OPEN, "calibrated, hydrated", "literal, hydrated"]
     for _, _, cases in studies:
         assert len({json.dumps(case, sort_keys=True) for case in cases}) == len(cases)
         for case in cases:
@@ -52,6 +52,75 @@ def test_every_case_of_the_paper_makes_a_scene():
     # Four units and 22 values, of which four are the reference case itself.
     reference = zhan_case(ZHAN[4], 0.3, False)
     assert reference["unit"] == "bend-to-vertical" and len(studies[0][2]) >= 2 * (4 + 22 - 5)
+
+
+def groups(*only, seeds=1, results=()):
+    found = Reproduction(None, "zhan", False, seeds, "cpu", *chosen("zhan", only))
+    found.results |= {key: {} for key in results}
+    return {group: cases for group, _, cases in zhan_studies(found)}
+
+
+def test_runs_are_limited_to_what_is_named():
+    assert list(groups("velocity")) == [
+        "literal",
+        "calibrated",
+        "stiff stones",
+        "yielding layer",
+        "half yielding layer",
+    ]
+    assert [case["velocity"] for case in groups("velocity", "literal")["literal"]] == list(SPEEDS)
+    (units,) = groups("units", "faceted pipe").values()
+    assert len(units) == 4 and all(case["wall"] == "mesh" and case["facets"] == 64 for case in units)
+    assert len(groups("stiff stones")) == 1, "hydrated bonds of stiff stones only by name"
+    hydrated = groups("stiff stones", "hydrated fraction")
+    assert list(hydrated) == ["stiff stones, hydrated"] and len(hydrated["stiff stones, hydrated"]) == 5
+    (cases,) = groups("literal", "velocity", seeds=2).values()
+    known = [key_of("literal", case) for case in cases if case["seed"] == 0]
+    (left,) = groups("literal", "velocity", seeds=2, results=known).values()
+    assert len(cases) == 10 and [case["seed"] for case in left] == [1] * 5
+
+
+def test_what_names_nothing_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="only = 'speed': must be one of literal, calibrated, stiff stones, equal"):
+        reproduce("zhan", out=tmp_path / "out", only=["speed"])
+    with pytest.raises(SceneError, match="leaves nothing to run; faceted pipe is run with units"):
+        reproduce("zhan", out=tmp_path / "out", only=["faceted pipe", "velocity"])
+    with pytest.raises(SceneError, match="is for zhan"):
+        reproduce("xu", out=tmp_path / "out", only=["units"])
+    with pytest.raises(RunFolderError, match="holds no results of a reproduction"):
+        reproduce("zhan", out=tmp_path / "out", known=[tmp_path])
+    assert not (tmp_path / "out").exists()
+
+
+def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
+    first = Reproduction(tmp_path / "first", "zhan", False, 2, "cpu", ("yielding layer",), ("units",))
+    first.folder.mkdir()
+    (first.folder / "reproduction.json").write_text(json.dumps({"paper": "zhan", "quick": False}))
+    for place, case in enumerate(groups("yielding layer", "units", seeds=2)["yielding layer"]):
+        pressure = {"value": 1e4 + 1e3 * place, "unit": "Pa"}
+        first.results[key_of("yielding layer", case)] = {
+            "peak_pressure": pressure, "end_pressure": pressure, "peak_travel": {"value": 0.1, "unit": "m"}
+        }  # fmt: skip
+    write(first)
+    found = reproduce("zhan", out=tmp_path / "out", seeds=2, only=first.columns + first.rows, known=[first.folder])
+    assert found.finished and len(found.results) == 8, "nothing is left to run"
+    text = (found.folder / "reproduction.md").read_text()
+    # Of two seeds: their mean and standard deviation in kPa.
+    assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
+    assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
+    assert resume_reproduction(found.folder).results == found.results
+    with pytest.raises(SceneError, match="is of zhan; take one of zhan, quick"):
+        reproduce("zhan", out=tmp_path / "quick", quick=True, known=[first.folder])
+
+
+def test_what_is_open_stands_beside_the_calibrated_concrete():
+    layer, zhan = OPEN["yielding layer"][0], modules()["pipe"].scene(**CONCRETES["calibrated"]).parameters
+    half = OPEN["half yielding layer"][0]
+    for each in (layer, half):
+        stress = each["layer_yield"] + 0.3 * each["layer_viscosity"]
+        assert stress == pytest.approx(0.3 * zhan["layer_viscosity"]), "the same at 0.3 m/s"
+    for name in OPEN:
+        assert overrides(name)["concrete"] == "zhan"
 
 
 def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
@@ -77,7 +146,8 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
     assert judged(found, sizes, "calibrated")[1] == "too few ran to their ends (not 0.1)"
     write(found)
     text = (tmp_path / "reproduction.md").read_text()
-    assert "| calibrated | 31.0 | 33.0 | 35.0 | 37.0 | - |" in text and "overlap of body 7" in text
+    assert "| calibrated | 31.0 +- 0.14 | 33.0 +- 0.14 | 35.0 +- 0.14 | 37.0 +- 0.14 | - |" in text
+    assert "overlap of body 7" in text
     assert (tmp_path / "reproduction.png").stat().st_size > 5000
 
 

@@ -8,13 +8,15 @@ from click.testing import CliRunner
 
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
-from warpcrete.mps.theory import (
+from warpcrete.theory.pipe import (
     CONCRETES,
     FORMS,
     Concrete,
     Line,
     flow_of_pressure,
     kaplan,
+    restart,
+    rested,
     slip_constants,
     steady,
     steady_of_stress,
@@ -190,3 +192,34 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "which none has; look at length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
     points.unlink()
     assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)
+
+
+def test_a_restart_takes_what_the_structure_bears():
+    # By hand: a plug whose layer bears 20 Pa, after 600 s at 0.3 Pa/s, 10 m up a pipe of 0.1 m.
+    plug = Concrete(density=2400, viscosity=30, yield_stress=500, slip_viscosity=1000, slip_yield=20)
+    line = Line(radius=0.05, length=10.0)
+    least = restart(plug, line, 600.0, 0.3)
+    assert least.pressure == pytest.approx(2400 * 9.81 * 10 + 4 * (20 + 180) / 0.1 * 10, rel=1e-12)
+    assert least.flow == 0.0 and least.slip_velocity == 0.0
+    moving = restart(plug, line, 600.0, 0.3, flow=1e-3)  # slip alone: the bulk bears 680 Pa
+    speed = 1e-3 / (np.pi * 0.05**2)
+    assert moving.pressure - least.pressure == pytest.approx(4 * 1000 * speed / 0.1 * 10, rel=1e-12)
+    assert rested(plug, 600.0, 0.3) == dataclasses.replace(plug, yield_stress=680.0, slip_yield=200.0)
+    # A layer that bears more than the bulk: the bulk is sheared first (no. 1: 190 and 251 Pa).
+    level = Line(rise=0.0)
+    assert restart(CONCRETES["no1"], level, 60.0, 1.0).pressure == pytest.approx(4 * 250 / 0.1 * 0.3, rel=1e-12)
+    assert restart(CONCRETES["no1"], level, 0.0, 1.0, FLOW) == steady(CONCRETES["no1"], level, FLOW)
+    for bad in ((-1.0, 0.3), (600.0, -0.3), (float("nan"), 0.3)):
+        with pytest.raises(SceneError):
+            restart(plug, line, *bad)
+
+
+def test_theory_prints_a_restart():
+    plain = CliRunner().invoke(cli, ["theory", "--rise", "0"])
+    found = CliRunner().invoke(cli, ["theory", "--rise", "0", "--rest", "60", "--thixotropy", "1"])
+    assert found.exit_code == 0 and found.output.startswith(plain.output.rstrip())
+    row = found.output.split("after 60 s of rest, grown by 1 Pa/s: yield stress 250 Pa; slip layer 311 Pa\n")[1]
+    assert row.splitlines()[1].split()[:3] == ["pipe", "3000", "10000"]
+    for given in (["--thixotropy", "1"], ["--rest", "-5"]):
+        bad = CliRunner().invoke(cli, ["theory", *given])
+        assert bad.exit_code != 0 and "pipe" not in bad.output

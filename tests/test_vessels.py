@@ -34,8 +34,8 @@ from warpcrete.mps.grid.geometry import (
 )
 from warpcrete.mps.grid.layout import GridLayout
 from warpcrete.mps.grid.state import GridState
-from warpcrete.mps.theory import Concrete
 from warpcrete.scenes import modules
+from warpcrete.theory.pipe import Concrete
 from warpcrete.verification.vessels import TURNS, between_cylinders, tilted_vessel
 
 OWN = {"concrete": "own", "density": 2300.0, "viscosity": 20.0, "yield_stress": 30.0}

@@ -51,6 +51,7 @@ _LAZY |= {
     "trade": "studies.trade",
     "explain": "studies.explain",
     "calibrate": "studies.calibrate",
+    "read_mix": "mix.mix",
 }
 
 

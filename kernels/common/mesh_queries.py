@@ -1,4 +1,4 @@
-"""Distance of points to a closed mesh."""
+"""Distance of points to a mesh, and its nearest triangle."""
 
 import warp as wp
 
@@ -30,3 +30,13 @@ def ray_distances(
     distance[i] = -1.0
     if query.result:
         distance[i] = query.t
+
+
+@wp.kernel(enable_backward=False)
+def nearest_faces(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, face: wp.array(dtype=wp.int32)):
+    """Triangle nearest to each point, or -1 where none is within `reach`."""
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
+    face[i] = -1
+    if query.result:
+        face[i] = query.face

@@ -40,6 +40,9 @@ def wall_struct(scalar):
         motion: wp.int32
         start_time: wp.float64  # prescribed motion: the speed ramps linearly from start_time on ...
         ramp_time: wp.float64  # ... for this long, then holds
+        stops: wp.float64  # how often it first goes from rest to rest and pauses, a whole number
+        stroke_time: wp.float64  # from rest to rest, with a ramp at both ends [s]
+        pause: wp.float64  # behind each stroke [s]
         velocity: wp.vec3d  # of the final, steady motion [m/s]
         spin: wp.vec3d  # [rad/s], about `pivot`
         pivot: wp.vec3d

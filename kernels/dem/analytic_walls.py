@@ -15,6 +15,7 @@ from ..common.types import SPAN, types, vector_functions
 from ..common.walls import FIXED, wall_functions
 from .contact_law import contact_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
+from .wear import wear_functions
 
 FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
 WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
@@ -120,7 +121,7 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
-def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
+def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool):
     """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
     threads of a warp must call; one that has nothing to look at says that it is not `here`.
 
@@ -139,6 +140,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
     moment_energy = functions.moment_energy if rolls else None
     wall_touch = contact_functions(scalar).wall_touch
     surface_touch = surface_touch_function(scalar)
+    worn_by, in_frame = wear_functions(scalar, law).worn_by, wear_functions(scalar, law).in_frame
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     write_vec4 = row_functions(scalar).write_vec4
@@ -189,17 +191,9 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
                     touches = wp.bool(True)
                     n = into_wall(walls.table[w], direction)  # from the sphere into the wall
                     touch, point = surface_touch(
-                        walls.position[w],
-                        walls.velocity[w],
-                        walls.spin[w],
-                        n,
-                        gap,
-                        x,
-                        radius,
-                        velocity,
-                        spheres.spin[i],
-                        dt,
-                    )
+                        walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity,
+                        spheres.spin[i], dt,
+                    )  # fmt: skip
                     p = parameters[row + walls.table[w].material]
                     f, new_history, lost = contact_force(p, touch, slots.history[i, slot], dt)
                     slots.history[i, slot] = new_history
@@ -209,6 +203,9 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
                     total_force += f
                     total_moment += wp.cross((radius + gap) * n, f)
                     m = wp.cross(point - walls.position[w], -f)
+                    if wp.static(wear):
+                        slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, lost, dt)
+                        slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
                     if wp.static(rolls):
                         turning = walls.spin[w] - spheres.spin[i]
                         held_back, rolled, lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
@@ -241,7 +238,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool):
 
 
 @functools.cache
-def wall_kernel(scalar, law, dissipation: bool):
+def wall_kernel(scalar, law, dissipation: bool, wear: bool):
     """Kernel over spheres of half lists: adds the forces of planes and pipes.
 
     Two kernels are faster than one with the contacts: clang inlines a law that a kernel calls once, not one that it
@@ -250,7 +247,7 @@ def wall_kernel(scalar, law, dissipation: bool):
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
-    analytic = analytic_wall_functions(scalar, law, True, dissipation)
+    analytic = analytic_wall_functions(scalar, law, True, dissipation, wear)
     Segment, far_from_walls, on_walls = analytic.Segment, analytic.far_from_walls, analytic.on_walls
     read_vec4 = row_functions(scalar).read_vec4
 

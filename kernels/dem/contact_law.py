@@ -28,6 +28,7 @@ def contact_functions(scalar):
         gap: scalar  # negative where the surfaces overlap [m]
         velocity: t.vec3  # at the contact point [m/s]
         twist: scalar  # mean turn of the bodies about the normal in the step [rad]
+        tilt: t.vec3  # turn of the normal itself in the step [rad]; nothing against a wall
         smaller_radius: scalar  # of the two spheres; the sphere's own against a wall [m]
         length: scalar  # distance of the centres at first touch; the radius against a wall [m]
         reduced_radius: scalar  # R1 R2 / (R1 + R2); the radius against a wall [m]

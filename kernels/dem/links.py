@@ -259,13 +259,13 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 
 
 @functools.cache
-def surface_kernel(scalar, law, analytic: bool, dissipation: bool, width: int):
+def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, width: int):
     """Kernel over spheres, in whole warps of `width` threads (1 on a CPU): force and moment of each by planes and
     pipes, to which meshes add theirs."""
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
-    surface = analytic_wall_functions(scalar, law, False, dissipation)
+    surface = analytic_wall_functions(scalar, law, False, dissipation, wear)
     Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
     ballot = warp_functions(width).ballot
     t = types(scalar)

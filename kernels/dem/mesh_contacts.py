@@ -22,6 +22,7 @@ from ..common.types import SPAN, types, vector_functions
 from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
@@ -225,13 +226,15 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
         Candidates=structs.Candidates,
         Parameters=functions.Parameters,
         meets=meeting_function(scalar, law),
+        **vars(wear_functions(scalar, law)),
+        surface_touch=surface_touch_function(scalar),
         add_to_wall=wall_force_function(scalar),
         xyz=vector_functions(scalar).xyz,
     )
 
 
 @functools.cache
-def mesh_kernel(scalar, law, half: bool, dissipation: bool):
+def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
     """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
     t = types(scalar)
     parts, rolls = mesh_parts(scalar, law), law.rolls
@@ -253,6 +256,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool):
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
+        slot_worn: wp.array2d(dtype=wp.vec3d), slot_worn_at: wp.array2d(dtype=t.vec3),
         wall_step_force: wp.array3d(dtype=wp.int64),
     ):  # fmt: skip
         begin_i = first + wp.tid() * wp.static(span)
@@ -332,6 +336,13 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool):
                 total_force += f
                 total_moment += moment
                 parts.add_to_wall(wall_step_force, part, w, -f, m, scale)
+                if wp.static(wear):
+                    touch, point = parts.surface_touch(
+                        wall_position[w], wall_velocity[w], wall_spin[w], n, gaps[s], x, radius, velocity, spin, dt
+                    )
+                    did = parts.worn_by(wall_parameters[row + wall_table[w].material], touch, f, lost, dt)
+                    slot_worn[i, w - first_wall] = slot_worn[i, w - first_wall] + did
+                    slot_worn_at[i, w - first_wall] = parts.in_frame(point, wall_position[w], wall_orientation[w])
             parts.keep_contacts(
                 i, analytic, first_wall, found, owners, normals, gaps, histories, turnings, slot_wall, slot_normal,
                 slot_overlap, slot_history, slot_rolling,

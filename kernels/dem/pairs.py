@@ -70,6 +70,8 @@ def pair_functions(scalar):
         velocity = apart - wp.cross(sliding, n)
         twist = scalar(0.5) * dt * wp.dot(spins, n)
         pair.touch = sphere_touch(n, gap, velocity, twist, position_i[3], position_j[3], velocity_i[3], velocity_j[3])
+        if distance > scalar(0.0):
+            pair.touch.tilt = (dt / distance) * wp.cross(n, apart)
         pair.apart = apart
         pair.distance = distance
         pair.arm_i = arm_i

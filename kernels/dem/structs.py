@@ -127,6 +127,9 @@ def array_structs(scalar) -> SimpleNamespace:
         normal: wp.array2d(dtype=t.vec3)  # of mesh contacts, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # of mesh contacts [m], (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # of mesh contacts, -1 for none, (spheres, slots)
+        worn: wp.array2d(dtype=wp.vec3d)  # by contacts with each wall since the last sample: work of sliding [J], loss
+        # of impacts [J], load times way slid [N m], (spheres, walls)
+        worn_at: wp.array2d(dtype=t.vec3)  # where it last touched each wall, in the wall's frame [m], (spheres, walls)
 
     @wp.struct
     class Pairs:

@@ -6,7 +6,7 @@ import warp as wp
 
 from ..common.control import FAILED, HALTED, LATE
 from ..common.types import types
-from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED
+from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
 SPEED_LIMIT = 1.0e4  # [m/s]; nothing that is pumped or dropped comes near
@@ -22,18 +22,39 @@ def ramped(time: wp.float64, ramp: wp.float64):
     return time - wp.float64(0.5) * ramp
 
 
+@wp.func
+def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
+    """The same with so many strokes, each from rest to rest and with a pause behind it, before speed is kept."""
+    done = wp.min(wp.max(wp.floor(time / (stroke + pause)), wp.float64(0.0)), stops)
+    left = time - done * (stroke + pause)
+    each = stroke - ramp
+    if done == stops:
+        return stops * each + ramped(left, ramp)
+    if left >= stroke:  # one number all through a pause
+        return (done + wp.float64(1.0)) * each
+    return done * each + ramped(left, ramp) - ramped(left - each, ramp)
+
+
 @functools.cache
-def motion_functions(scalar):
+def motion_functions(scalar, strokes: bool):
     """`follow` a prescribed motion, `drive` a wall by a force: each for one wall and one step."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
+    Wall = wall_struct(scalar)
+
+    @wp.func
+    def gone_at(wall: Wall, time: wp.float64):
+        if wp.static(strokes):
+            if wall.stops > wp.float64(0.0):
+                return stopped(time, wall.ramp_time, wall.stroke_time, wall.pause, wall.stops)
+        return ramped(time, wall.ramp_time)
 
     @wp.func
     def follow(walls: Walls, w: wp.int32, now: wp.float64, dt: wp.float64):
         wall = walls.table[w]
         before = walls.position_exact[w]
-        gone = ramped(now, wall.ramp_time)
+        gone = gone_at(wall, now)
         angle = gone * wp.length(wall.spin)
         after = walls.rest_position[w]
         if angle > wp.float64(0.0):
@@ -44,7 +65,7 @@ def motion_functions(scalar):
         after += gone * wall.velocity  # the pivot travels along
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
-            rate = (gone - ramped(now - dt, wall.ramp_time)) / dt
+            rate = (gone - gone_at(wall, now - dt)) / dt
         # Average over the step, as the particles' leapfrog velocities are.
         walls.spin[w] = t.vec3(rate * wall.spin)
         walls.position_exact[w] = after
@@ -83,12 +104,12 @@ def motion_functions(scalar):
 
 
 @functools.cache
-def advance_kernel(scalar):
-    """One thread a wall: collect the step's forces, move to the next time."""
+def advance_kernel(scalar, strokes: bool):
+    """One thread a wall: collect the step's forces, move to the next time. With `strokes` some wall may stop."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
-    follow, drive = motion_functions(scalar)
+    follow, drive = motion_functions(scalar, strokes)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(

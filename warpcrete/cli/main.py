@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from ..core.errors import InstabilityError, WarpcreteError
+from .texts import MIX_HELP
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
 
@@ -167,12 +168,15 @@ class TheoryCommand(click.Command):
 @click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
 @click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
               "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
+@click.option("--rest", type=float, help="that the concrete has stood [s]: what a restart then takes")
+@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.pass_context
 def theory(
-    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None, **values: Any
-) -> None:
+    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None,
+    rest: float | None, thixotropy: float | None, **values: Any,
+) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    _part("theory").run(_part("options").given(values, context), flow, pressure, fit)
+    _part("theory").run(_part("options").given(values, context), flow, pressure, fit, rest, thixotropy)
 
 
 @cli.command("view")
@@ -265,6 +269,10 @@ def trade_command(arguments: tuple[str, ...]) -> None:
 @click.argument("paper", required=False)
 @click.option("--quick", is_flag=True, help="coarse spheres for clumps and fewer cases: minutes on a CPU")
 @click.option("--seeds", type=int, default=1, show_default=True, help="of each case of discrete elements")
+@click.option("--only", multiple=True, help="of zhan: one column ('stiff stones', 'yielding layer' ...) or row (units, "
+              "velocity ...); several times for several  [default: all]")  # fmt: skip
+@click.option("--known", multiple=True, type=click.Path(path_type=Path), help="folder of an earlier reproduction whose "
+              "results are taken")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/reproduce-PAPER-NNN]")
 @click.option("--resume", type=click.Path(path_type=Path), help="go on: finished runs are used")
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
@@ -344,17 +352,28 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
 @click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'")
 @click.option("--flow", help="in place of the line's, as '30 m3/h'")
 @click.option("--theory", is_flag=True, help="closed form alone: bends and reducers as straight pipe, at once")
-@click.option("--layer-factor", type=float, default=2.0, show_default=True, help="by which the slip layer's constants "
-              "may be off, for the band; 1 where they were measured")  # fmt: skip
+@click.option("--layer-factor", type=float, help="by which the slip layer's constants may be off, for the band; 1 "
+              "where they were measured  [default: 2; of a mix the bands of all its constants]")  # fmt: skip
 @click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
 @click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
 @click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "
               "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
+@click.option("--rest", type=float, help="that the line has stood full [s]: what a restart then takes, by theory")
+@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)
+
+
+@cli.command("mix", help=MIX_HELP)
+@click.argument("name", metavar="MIX", type=str)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="new file: the plain concrete, as --concrete takes it, too"
+)
+def mix_command(name: str, out: Path | None) -> None:
+    _part("mix").run(name, out)
 
 
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -14,15 +15,15 @@ from .run import INTERRUPTED
 
 
 def run(
-    paper: str | None, *, quick: bool, seeds: int, out: Path | None, resume: Path | None, device: str | None,
-    processes: int | None, quiet: bool,
+    paper: str | None, *, quick: bool, seeds: int, only: Sequence[str], known: Sequence[Path], out: Path | None,
+    resume: Path | None, device: str | None, processes: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Reproduce a paper, or go on with it, and print the report."""
     progress = ProgressBar()
     tell = None if quiet else progress
     try:
         if resume is not None:
-            if paper is not None or out is not None or device is not None or quick or seeds != 1:
+            if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
                 raise click.UsageError(f"resume = '{resume}': goes on as it began; leave out the rest")
             if not (resume / RECORD).is_file():
                 raise RunFolderError(f"resume = '{resume}': is no reproduction's folder (it holds no {RECORD})")
@@ -31,8 +32,8 @@ def run(
             raise click.UsageError("paper: name zhan or xu, or --resume FOLDER")
         else:
             folder = out or next_folder(f"reproduce-{paper}")
-            found = reproduce(paper, out=folder, quick=quick, seeds=seeds, device=device, processes=processes,
-                              progress=tell)  # fmt: skip
+            found = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,
+                              processes=processes, progress=tell)  # fmt: skip
     finally:
         progress.close()
     click.echo("\n" + (found.folder / "reproduction.md").read_text())

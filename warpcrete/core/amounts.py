@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,14 @@ UNITS = {
              "L/min": 1e-3 / 60},
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},
     "degrees": {"degrees": 1.0, "deg": 1.0, "°": 1.0, "rad": 180 / math.pi},
+    "kg/m3": {"kg/m3": 1.0, "kg/m³": 1.0, "t/m3": 1e3, "t/m³": 1e3, "g/cm3": 1e3, "kg/l": 1e3, "kg/L": 1e3},
+    "m3/m3": {"m3/m3": 1.0, "%": 1e-2, "l/m3": 1e-3, "L/m3": 1e-3, "l/m³": 1e-3},
+    "1": {"1": 1.0, "%": 1e-2},
+    "s": {"s": 1.0, "min": 60.0},
+    "1/s": {"1/s": 1.0},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0},
+    "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
 }  # fmt: skip
 """By the unit in which the program has an amount, what one of each unit that people write is in it."""
 
@@ -27,15 +36,14 @@ def amount(field: str, given: Any, unit: str) -> float:
     Raises :class:`SceneError` for anything else.
     """
     known = UNITS[unit]
+    found = math.nan
     if isinstance(given, str):
-        text = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*", given)
-        if text is None or (text[2] and text[2] not in known):
-            refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
-        return float(text[1]) * known[text[2] or unit]
-    try:
-        found = float(given) if isinstance(given, NUMBERS) and not isinstance(given, bool) else math.nan
-    except OverflowError:
-        found = math.inf
+        text = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*", given)
+        if text is not None and (not text[2] or text[2] in known):
+            found = float(text[1]) * known[text[2] or unit]
+    elif isinstance(given, NUMBERS) and not isinstance(given, bool):
+        with suppress(OverflowError):
+            found = float(given)
     if not math.isfinite(found):
         refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
     return found

@@ -4,7 +4,9 @@ A file is YAML (or JSON) with up to two sections of parameters by name, both in 
 
 - `elements`: of scenes of discrete elements, as `warpcrete run pipe --help` lists them under aggregate, contacts and
   bonds;
-- `flow`: the five constants of a Bingham fluid with a slip layer.
+- `flow`: the five constants of a Bingham fluid with a slip layer;
+
+or with a section `mix`, which stands for both (:mod:`warpcrete.mix`): amounts there have their units.
 
 `base` names a concrete whose sections the file's own values complete or replace; `source` and `calibrated` say where
 the numbers come from.
@@ -15,7 +17,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
 SECTIONS = ("elements", "flow")
 TEXTS = ("name", "source", "calibrated", "base")
+KEYS = (*TEXTS, *SECTIONS, "mix")
 LONGEST_CHAIN = 10
 """Of concretes that are each the base of the next."""
 
@@ -41,6 +44,16 @@ Numbers.add_implicit_resolver(
 
 
 @dataclass(frozen=True)
+class MixSection:
+    """What a file says of a mix, unread, and its own entries for what would follow from it."""
+
+    values: Any
+    folder: Path
+    elements: Mapping[str, Any]
+    flow: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class NamedConcrete:
     """What is known of a concrete."""
 
@@ -52,6 +65,7 @@ class NamedConcrete:
     """Parameters of discrete elements; empty where nothing is known."""
     flow: Mapping[str, float] = field(default_factory=dict)
     """Constants of a Bingham fluid with a slip layer; empty where nothing is known."""
+    mix: MixSection | None = None
 
 
 def read_yaml(path: Path, name: str) -> Mapping[str, Any]:
@@ -96,8 +110,8 @@ def _read(path: Path, depth: int) -> NamedConcrete:
     if depth > LONGEST_CHAIN:
         refuse("concrete base", str(path), "is its own base, or one of too many", "end the chain of bases")
     for key in given:
-        if key not in (*TEXTS, *SECTIONS):
-            refuse("concrete", str(path), f"has the key {key!r}", f"known are {', '.join((*TEXTS, *SECTIONS))}")
+        if key not in KEYS:
+            refuse("concrete", str(path), f"has the key {key!r}", f"known are {', '.join(KEYS)}")
     texts = {key: str(given[key]) for key in TEXTS if given.get(key) is not None}
     sections = {}
     for section in SECTIONS:
@@ -105,13 +119,19 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         if not isinstance(found, Mapping):
             refuse(f"concrete {section}", found, "must be 'name: value' lines", "indent them below the section's name")
         sections[section] = dict(found)
+    mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
         base = _base(texts.pop("base"), path, depth)
+        if mix is None and base.mix is not None:  # the file's own entries go before what follows from it, too
+            mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
+                                       for section in SECTIONS})  # fmt: skip
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
-    if not any(sections.values()):
-        refuse("concrete", str(path), "says nothing of elements or flow", "give it one of these sections, or a base")
-    return NamedConcrete(**{"name": path.stem, **texts}, **sections)
+    if mix is None and not any(sections.values()):
+        refuse(
+            "concrete", str(path), "says nothing of elements or flow", "give it one of these sections, a mix or a base"
+        )
+    return NamedConcrete(**{"name": path.stem, **texts}, **sections, mix=mix)
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:

@@ -246,6 +246,10 @@ class Display(ABC):
     direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
     """From what there is to see to the eye."""
 
+    def wall_colours(self, number: int) -> np.ndarray | None:
+        """RGB bytes (v, 3) of the vertices of a drawn wall now; None where it has one colour throughout."""
+        return None
+
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
         return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
@@ -282,14 +286,14 @@ class Display(ABC):
         return centre + distance * size * np.array(self.direction), centre
 
 
-def on_palette(values: np.ndarray, upper: float, lower: float = 0.0) -> np.ndarray:
-    """RGB bytes (n, 3) of values from `lower` to `upper`, on matplotlib's perceptually even viridis map."""
+def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
+    """RGB bytes (n, 3) of values from `lower` to `upper`, on a map of matplotlib's, the perceptually even viridis."""
     scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
-    return _palette()[(255 * scaled).astype(int)]
+    return _palette(name)[(255 * scaled).astype(int)]
 
 
 @functools.cache
-def _palette() -> np.ndarray:
+def _palette(name: str) -> np.ndarray:
     from matplotlib import colormaps
 
-    return (255 * colormaps["viridis"](np.arange(256))[:, :3]).astype(np.uint8)
+    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)

@@ -30,6 +30,8 @@ class Quantity:
     """How the report gives it, instead of value and unit."""
     compared: bool = False
     """Studies put it into their table and figure."""
+    rare: bool = False
+    """Only if some case has more than 0 of it."""
 
     @property
     def title(self) -> str:
@@ -76,6 +78,8 @@ class Method:
     """What a run of a scene will take, of (scene, device, precision, threads, probe of a prepared simulation)."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Runs simulations of one device, each from its checkpoint if it has one; what each came to, or its error."""
+    more_pictures: Callable[[Run], Mapping[str, Any]] = lambda run: {}
+    """Other Matplotlib figures of a run's folder by their files' names; None where there is nothing to draw."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
     """Quantities of a scene by closed forms, before it runs; those that have none are left out."""
 

@@ -229,6 +229,10 @@ class Simulation:
         """The run may end before its duration."""
         return False
 
+    def reaching(self, time: float) -> Coroutine:
+        """Go on to a time [s]; methods do here what must be done on the way."""
+        yield Until(time)
+
     # Checkpoints.
 
     def save(self, path: Path) -> None:
@@ -326,9 +330,9 @@ class Simulation:
                 return False
             goal = min(number * interval, duration)
             while self.recorders and self.frames.before(goal):
-                yield Until(self.frames.next)
+                yield from self.reaching(self.frames.next)
                 self._frame()
-            yield Until(goal)
+            yield from self.reaching(goal)
             self._samples = number
             row = self._sample()
             ended = self.ended_early()

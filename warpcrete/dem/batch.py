@@ -28,6 +28,7 @@ from ..kernels.dem.structs import array_structs, scene_struct
 from .ahead import NEVER, Ahead
 from .links import carry_links, even_pairs, make_links
 from .model import Model
+from .resting import Structure
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 from .subcycling import Subcycles
 
@@ -39,7 +40,8 @@ thirds to the whole of one's time at a thousand spheres, one and a quarter to tw
 
 def batch_key(model: Model) -> tuple:
     """Scenes with equal keys can share a batch."""
-    return model.features, model.analytic_walls, model.scalar, str(model.device)
+    worn = len(model.walls) if model.features.wear else 0
+    return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
 
 class Batch:
@@ -116,6 +118,7 @@ class Batch:
         self._place_pairs()
         self.links = make_links(self)
         self.subcycles = Subcycles(self)
+        self.structure = Structure(self) if self.features.structure else None
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0

@@ -6,8 +6,9 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core.concretes import NamedConcrete, concrete, known_only
+from ..core.concretes import NamedConcrete, known_only
 from ..core.errors import refuse
+from ..mix.mix import completed
 
 COVERAGE = 0.8
 """Area on which a lubrication layer acts (pi r^2 of every contact with the wall) over that of the wall, of clumps with
@@ -26,8 +27,10 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or all(each in values for each in known):
         return {}
-    found = concrete(name)
+    found = completed(name)
     section = found.elements or _of_flow(found)
+    if found.mix is not None:
+        section = {**found.elements, **_of_flow(found), **found.mix.elements}
     if "density" in values:  # of the aggregates: the concrete's own then says nothing
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)

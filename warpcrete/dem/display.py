@@ -23,9 +23,13 @@ from ..core.display import (
     on_palette,
 )
 from ..geometry.walls import Prescribed
-from .probes import chunks_of, largest_of, pair_forces, pairs_of
+from .probes import chunks_of, largest_of, listed_forces, pairs_of
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
+WORN = (255, 255, 255, 215)
+"""Over the colours of wear: stones are to be seen through it a little."""
+WEAR_PALETTE = "magma_r"
+"""Another one than that of stones; pale where nothing is worn."""
 BONDS = (230, 140, 30)
 OURS = (215, 95, 30)
 STRONGEST, THINNEST = 0.12, 0.04
@@ -47,6 +51,8 @@ class ElementDisplay(Display):
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         super().__init__(simulation, colouring)
         self._upper = self._limit()
+        self._patches: dict[int, np.ndarray] = {}
+        """Patch of each vertex of a worn wall, by the wall's number."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
@@ -101,7 +107,7 @@ class ElementDisplay(Display):
     def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places of both spheres of every listed pair, its place in the pair arrays, its normal force [N]."""
         model, state = self.simulation.model, self.simulation.state
-        force = self.once("pair forces", lambda: pair_forces(model, state))
+        force = self.once("pair forces", lambda: listed_forces(model, state))
         chunks = self.once("chunks", lambda: chunks_of(state))
         i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
         return i, j, place, force[place]
@@ -162,8 +168,28 @@ class ElementDisplay(Display):
         for number in self._drawn:
             wall = self.simulation.model.walls[number]
             vertices, faces = wall.drawn()
-            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, COLOURS.get(wall.name, OTHER)))
+            colour = COLOURS.get(wall.name, OTHER)
+            if (worn := self._worn(number)) is not None:
+                (vertices, faces, _), colour = worn.patches.surface(), WORN
+            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, colour))
         return found
+
+    def _worn(self, number: int) -> Any:
+        """What is known of a wall's wear; None of planes, which have one patch."""
+        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
+        if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
+            return None
+        return sampler.wear.walls[number]
+
+    def wall_colours(self, number: int) -> np.ndarray | None:
+        """Of walls that wear: depth over that of the hundredth of the patches that is worn most."""
+        worn = self._worn(number := self._drawn[number])
+        if worn is None:
+            return None
+        depth = self.once(f"wear of {number}", lambda: worn.depth)
+        if number not in self._patches:
+            self._patches[number] = worn.patches.surface()[2]
+        return on_palette(depth, float(np.quantile(depth, 0.99)), name=WEAR_PALETTE)[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""

@@ -361,7 +361,12 @@ def _features(simulation: ElementSimulation) -> dict[str, str]:
         "healing": "new contacts bond" if f.healing else "",
         "drives": f"forces on {', '.join(drive.group for drive in scene.drives)}" if f.drives else "",
         "walls": " and ".join(kind for kind in kinds if kind) + (f"; {', '.join(moving)} moves" if moving else ""),
+        "stops": ", ".join(
+            w.name for w in scene.walls if isinstance(w.motion, Prescribed) and w.motion.stops is not None
+        ),
+        "structure": "a layer that grows at rest" if f.structure else "",
         "energy balance": "asked for" if f.dissipation else "",
+        "wear of walls": "asked for" if f.wear else "",
         "precision": simulation.precision,
         "half lists": f"each pair stands once, {simulation.threads} threads" if f.half_list else "",
     }

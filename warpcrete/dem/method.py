@@ -7,6 +7,7 @@ from .forecast import forecast
 from .pictures import draw, plot_aggregates
 from .quantities import QUANTITIES, report
 from .simulation import ElementSimulation
+from .worn import plot_wear
 
 METHOD = Method(
     name="dem",
@@ -19,4 +20,5 @@ METHOD = Method(
     report=report,
     forecast=forecast,
     run_many=run_batch,
+    more_pictures=lambda run: {"wear.png": plot_wear(run)},
 )

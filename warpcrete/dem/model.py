@@ -12,11 +12,12 @@ import warp as wp
 from ..core.device import parallel, scalar_of
 from ..core.errors import refuse
 from ..geometry.axis import Axis
-from ..geometry.walls import MeshWall, Wall
+from ..geometry.walls import MeshWall, Prescribed, Wall
 from ..kernels.common.geometry import axis_functions
 from ..kernels.common.walls import wall_struct
 from ..kernels.dem.bond_parallel import bond_functions
 from .laws import ContactLaw
+from .resting import grown_bonds, has_layer
 from .scene import MUCH_STIFFER, Bonds, Scene
 
 
@@ -46,12 +47,18 @@ class Features:
     analytic: bool
     """Planes or pipes are among the walls."""
     meshes: bool
+    strokes: bool
+    """Some wall stops on its way."""
+    structure: bool
+    """A layer on the walls grows at rest and is worn off."""
     growth: bool
     """Sizes grow while bodies are packed."""
     half_list: bool
     """Pairs inside a thread's chunk stand once in the lists (CPU); else at both spheres (GPU)."""
     dissipation: bool
     """Dissipated energy is added up."""
+    wear: bool
+    """What contacts do to walls is added up."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +74,7 @@ class Model:
     groups: tuple[str, ...]
     """Name of each group number; 0 is no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of bond numbers 1, 2, ...."""
+    """Properties of bond numbers 1, 2, ...; those grown at rest come last."""
     walls: tuple[Wall, ...]
     """The scene's walls in device order: planes and pipes first."""
     analytic_walls: int
@@ -130,9 +137,12 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
         walls=bool(walls),
         analytic=bool(analytic),
         meshes=bool(meshes),
+        strokes=any(isinstance(wall.motion, Prescribed) and wall.motion.stops is not None for wall in walls),
+        structure=has_layer(scene, type(wall_laws[0])),
         growth=growth,
         half_list=not parallel(device),
         dissipation=scene.energy_balance,
+        wear=scene.wear is not None and bool(walls) and not growth,
     )
     axes = _Axes()
     table, kept = _wall_rows(walls, materials, axes, scalar, device)
@@ -237,7 +247,8 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
         kinds.append(scene.bonds)
     if scene.hydration is not None:
         kinds.append(scene.hydration.bonds)
-    return (*kinds, *scene.group_bonds.values())
+    grown = grown_bonds(scene)
+    return (*kinds, *scene.group_bonds.values(), *([grown] if grown is not None else ()))
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:

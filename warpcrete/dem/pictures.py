@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
 from .simulation import ElementRun
+from .strokes import strokes_of
 
 
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
@@ -59,7 +61,40 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
     """The picture of a run folder: the pressure, if the scene has one."""
-    return plot_pressure(run) if "pressure" in run.series else None
+    if "pressure" not in run.series:
+        return None
+    return plot_strokes(run) if run.scene.pipe is not None and run.scene.pipe.stops is not None else plot_pressure(run)
+
+
+def plot_strokes(run: ElementRun) -> Any:
+    """Figure of pumping pressure [kPa] over time [s] through strokes, stops (shaded) and a rest (a line)."""
+    from matplotlib.figure import Figure
+
+    stops = run.scene.pipe.stops if run.scene.pipe is not None else None
+    if stops is None:
+        refuse("scene", run.scene.name, "has no piston that stops", "plot_pressure draws pressure over travel")
+    time, pressure = run.series["time"], run.series["pressure"] / 1e3
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(time, pressure, label="this run", linewidth=1.6)
+    for stop in range(stops.count):
+        begin = stop * stops.period + stops.stroke_time
+        if begin < time[-1]:
+            axes.axvspan(begin, min(begin + stops.pause, time[-1]), color="0.92", zorder=0)
+            axes.text(begin + 0.5 * stops.pause, 0.02, "stop", color="0.45", fontsize=8, ha="center",
+                      transform=axes.get_xaxis_transform())  # fmt: skip
+    for stroke, each in enumerate(strokes_of(run.scene.pipe, run.series["time"])):
+        top = int(np.flatnonzero(each.moving)[np.argmax(pressure[each.moving])])
+        axes.plot(time[top], pressure[top], "k+", markersize=10, label=None if stroke else "peak of a stroke")
+    rest = run.scene.rest
+    if rest is not None and rest.at < time[-1]:
+        stood = f"{rest.duration:g} s of rest, {rest.gained:.4g} Pa grown"
+        axes.axvline(rest.at, color="C3", linewidth=1.2, label=stood)
+    axes.set(xlabel="time, the rest left out [s]" if rest else "time [s]", ylabel="pressure on the piston [kPa]",
+             ylim=(0, None), xlim=(0, time[-1] or 1.0))  # fmt: skip
+    axes.legend(frameon=False, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
 
 
 def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Any:

@@ -197,7 +197,7 @@ def deepest_sphere(model: Model, state: State) -> int:
     return int(state.bodies.id.numpy()[state.spheres.body.numpy()[sphere]])
 
 
-def pair_forces(model: Model, state: State) -> np.ndarray:
+def listed_forces(model: Model, state: State) -> np.ndarray:
     """Normal force of each place of the pair arrays [N]; of a pair that stands twice, at one of both."""
     return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
 
@@ -207,7 +207,7 @@ def largest_forces(model: Model, state: State) -> np.ndarray:
     if state.sphere_count == 0:
         return np.zeros(state.body_count)
     i, j, place = listed_pairs(state)
-    return largest_of(i, j, pair_forces(model, state)[place], state.spheres.body.numpy(), state.body_count)
+    return largest_of(i, j, listed_forces(model, state)[place], state.spheres.body.numpy(), state.body_count)
 
 
 def largest_of(i: np.ndarray, j: np.ndarray, force: np.ndarray, body: np.ndarray, bodies: int) -> np.ndarray:
@@ -217,6 +217,16 @@ def largest_of(i: np.ndarray, j: np.ndarray, force: np.ndarray, body: np.ndarray
     for sphere in (i, j):
         np.maximum.at(result, body[sphere[pressing]], force[pressing])
     return result.astype(float)
+
+
+def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of both spheres of every touching pair, each once, and the normal force of their springs [N]."""
+    if not state.sphere_count:
+        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+    force = _measure_contacts(state)[1].numpy()
+    i, j, place = listed_pairs(state)
+    carried = force[place].astype(float)
+    return i[carried > 0], j[carried > 0], carried[carried > 0]
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,9 +13,10 @@ from ..core.device import PRECISIONS
 from ..core.errors import refuse
 from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within, declared_fields
+from ..geometry.walls import Stops
 from .concretes import elements_of
 from .laws.linear import DASHPOTS
-from .scene import MUCH_STIFFER
+from .scene import MUCH_STIFFER, Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
@@ -41,7 +42,10 @@ NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
 BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
 OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
+STROKES = Needs("strokes", lambda strokes: strokes > 1, "is 2 or more")
+RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 PLUGGED = Needs("plug", lambda plug: plug != "none", "is balls or plate")
+WORN = Needs("wear", bool, "is on")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +71,34 @@ class PistonParameters:
     ramp: Annotated[float, "travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
     travel: Annotated[
         float | None,
-        "at the end [m]; default: twice the ramp, the length without one, in bends pi/2 x elbow_radius",
+        "at the end [m]; default: that of all strokes, or twice the ramp, the length without one, in bends "
+        "pi/2 x elbow_radius",
         Above(),
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokeParameters:
+    """Strokes and stops."""
+
+    strokes: Annotated[int, "of the piston, which stops between them as it starts, over the ramp", Within(1, 1000)] = 1
+    stroke: Annotated[
+        float | None,
+        "travel of each [m]; default: an equal part of the travel, three ramps without one, in bends of the arc",
+        Above(), STROKES,
+    ] = None  # fmt: skip
+    pause: Annotated[float, "of the piston at each stop [s]; 0: it goes straight on", Within(0), STROKES] = 0.5
+    rest: Annotated[
+        float, "that concrete stands before the last stroke, put in by a law and not stepped through [s]", Within(0),
+        STROKES,
+    ] = 0.0  # fmt: skip
+    thixotropy: Annotated[
+        float, "growth of yield stress and strengths at rest, A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0),
+        RESTED,
+    ] = 0.5  # fmt: skip
+    breakdown: Annotated[
+        float, "slip along the wall by which what its layer gained falls to 1/e [m]", Above(), RESTED
+    ] = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +185,28 @@ class PlugParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class IndexParameters:
+    """Wear, segregation and blockage."""
+
+    wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
+    wear_coefficient: Annotated[
+        float, "volume worn over load and way slid, Archard's K/H [m2/N]; of steel by stones 1e-13 to 1e-12",
+        Within(0), WORN,
+    ] = Wear.coefficient  # fmt: skip
+    wear_patch: Annotated[
+        float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
+    ] = None
+    segregation: Annotated[bool, "measure where in the pipe the aggregate is, and its large stones"] = False
+    blocked_travel: Annotated[
+        float | None,
+        "of the piston, after which the pipe counts as blocked if part of the concrete stands all the while [m]; "
+        "default: a twentieth of the concrete's length, of soft aggregates a diameter, up to a fifth of it",
+        Above(),
+    ] = None
+    stop_when_blocked: Annotated[bool, "end the run where the pipe is blocked"] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunParameters(Declared):
     """Run."""
 
@@ -181,8 +232,8 @@ class RunParameters(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
-    UnitParameters, PistonParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
-    PlugParameters, RunParameters,
+    UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters, ContactParameters,
+    BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
 
@@ -210,9 +261,25 @@ class PipeParameters(
             if self.elbow_radius <= self.radius:
                 refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")
             if self.distance > self.arc * (1 + 1e-9):
-                refuse("travel", self.travel, f"must not exceed the bend's arc, {self.arc:.6g} m")
+                longest = f"must not exceed the bend's arc, {self.arc:.6g} m"
+                if self.stroke is not None:
+                    refuse("stroke", self.stroke, f"times {self.strokes} {longest}")
+                refuse("travel", self.travel, longest)
             if self.plug == "plate":
                 refuse("plug", self.plug, "a plate cannot follow a bend", "use balls or none")
+        self._check_strokes()
+
+    def _check_strokes(self) -> None:
+        if self.stroke is not None and self.travel is not None:
+            refuse("travel", self.travel, f"follows from {self.strokes} strokes of {self.stroke:g} m", "leave out one")
+        if self.stops is not None and self.each < 2 * self.ramp * (1 - 1e-12):
+            refuse("stroke", self.each, f"must hold two ramps of {self.ramp:g} m, from rest and to rest",
+                   "longer strokes, or a shorter ramp")  # fmt: skip
+        if self.rest > 0 and self.pause == 0:
+            refuse("rest", self.rest, "needs a stop before the last stroke", "a pause above 0")
+        if self.rest > 0 and not (self.bonds or self.layer_yield or self.layer_viscosity):
+            refuse("rest", self.rest, "has nothing to grow: there are no bonds, and no layer on the wall",
+                   "bonds, or a layer_yield")  # fmt: skip
 
     @property
     def is_bend(self) -> bool:
@@ -238,6 +305,10 @@ class PipeParameters(
         """Travel of the piston [m]."""
         if self.travel is not None:
             return self.travel
+        if self.stroke is not None:
+            return self.strokes * self.stroke
+        if self.strokes > 1 and self.pause > 0 and self.ramp > 0 and not self.is_bend:
+            return self.strokes * 3 * self.ramp
         return self.arc if self.is_bend else 2 * self.ramp if self.ramp > 0 else self.length
 
     @property
@@ -246,8 +317,22 @@ class PipeParameters(
         return 2 * self.ramp / self.velocity
 
     @property
+    def each(self) -> float:
+        """Travel of each stroke [m]."""
+        return self.distance / self.strokes
+
+    @property
+    def stops(self) -> Stops | None:
+        """Of the piston; None if it never stops. The last stroke ends at full speed, with the run."""
+        if self.strokes == 1 or self.pause == 0:
+            return None
+        return Stops(count=self.strokes - 1, stroke_time=self.each / self.velocity + self.ramp_time, pause=self.pause)
+
+    @property
     def duration(self) -> float:
-        """Of the piston's travel [s]."""
+        """Of the piston's travel, stops included [s]."""
+        if self.stops is not None:
+            return self.stops.count * self.stops.period + self.ramp_time + (self.each - self.ramp) / self.velocity
         if self.distance <= self.ramp:
             return math.sqrt(2 * self.distance * self.ramp_time / self.velocity)
         return self.ramp_time + (self.distance - self.ramp) / self.velocity
@@ -267,6 +352,16 @@ class PipeParameters(
         if self.plug_layers is not None:
             return self.plug_layers
         return max(2, math.ceil(UPRIGHT * self.diameter / self.plug_ball - 1e-9)) if self.is_bend else 2
+
+
+def asked_of(given: IndexParameters) -> dict[str, Any]:
+    """Fields of a :class:`Scene` for the indices that are asked for."""
+    wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
+    return {
+        "wear": wear,
+        "blockage": Blockage(travel=given.blocked_travel, stop=given.stop_when_blocked),
+        "segregation": given.segregation,
+    }
 
 
 COARSENINGS = (3.0, 2.0, 1.5, 1.0)

@@ -11,10 +11,18 @@ from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number
 from ..geometry.walls import Wall
+from .blocked import QUANTITIES as OF_BLOCKAGE
+from .blocked import blocked_words
 from .measures import QUANTITIES as OF_VESSELS
 from .probes import ContactSums
 from .sampling import STORED
 from .scene import Scene
+from .segregation import QUANTITIES as OF_SEGREGATION
+from .segregation import words as segregation_words
+from .strokes import held, peaks
+from .wear import WearMap
+from .worn import QUANTITIES as OF_WEAR
+from .worn import report as report_wear
 
 WINDOW = 0.2
 """Part of the travel, at its end, over which the pressure at the end is averaged."""
@@ -33,6 +41,9 @@ class Known:
     """Of all bodies [kg]."""
     contacts: ContactSums
     """At the end, coordination number included."""
+    wear: WearMap | None = None
+    blocked: dict[str, float] | None = None
+    """What a :class:`BlockageWatch` found, empty if nothing; None where nobody looked."""
 
     @property
     def pumped(self) -> bool:
@@ -46,9 +57,15 @@ class Known:
 
     @property
     def window(self) -> np.ndarray:
-        """Samples of the last part of the travel."""
-        travel = self.series["travel"]
-        return travel >= (1 - WINDOW) * travel[-1]
+        """Samples of the last part of the travel, or of that of the last stroke."""
+        return self.series["travel"] >= self.window_begin
+
+    @property
+    def window_begin(self) -> float:
+        """Travel at which that part begins [m]."""
+        travel = self.series["travel"][-1]
+        begun = stroke_begun(self.scene, travel)
+        return begun + (1 - WINDOW) * (travel - begun)
 
     @property
     def on_plateau(self) -> bool:
@@ -56,19 +73,41 @@ class Known:
         if not self.pumped:
             return False
         travel, pressure = self.series["travel"], self.series["pressure"]
-        begin = (1 - WINDOW) * travel[-1]
         if not past_ramp(self.scene, travel[-1]):
             return False
-        ahead = (travel >= begin - WINDOW * travel[-1]) & (travel < begin)
+        begin, gone = self.window_begin, travel[-1] - stroke_begun(self.scene, travel[-1])
+        ahead = (travel >= begin - WINDOW * gone) & (travel < begin)
         if not ahead.any():
             return False
         late = pressure[self.window].mean()
         return bool(abs(late - pressure[ahead].mean()) <= LEVEL * abs(late))
 
+    @property
+    def restarted(self) -> bool:
+        """The last stroke has begun, after a stop."""
+        pipe = self.scene.pipe
+        return self.pumped and pipe is not None and pipe.stops is not None and len(self.peaks) > pipe.stops.count
+
+    @property
+    def peaks(self) -> list[float]:
+        """Largest pressure of each stroke [Pa]."""
+        return peaks(self.scene.pipe, self.series)
+
+    @property
+    def held(self) -> float | None:
+        """Pressure in the last pause before the last stroke [Pa]; None where no sample fell into it."""
+        found = held(self.scene.pipe, self.series)[-1]
+        return found if np.isfinite(found) else None
+
+
+def stroke_begun(scene: Scene, travel: float) -> float:
+    """Travel at which the stroke began that the piston is in after so much travel [m]."""
+    return scene.pipe.begun(travel) if scene.pipe is not None else 0.0
+
 
 def past_ramp(scene: Scene, travel: float) -> bool:
     """After so much travel [m] the piston has moved at its final speed all through the window."""
-    return scene.pipe is None or (1 - WINDOW) * travel >= scene.pipe.ramp
+    return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 
 def momentum_balance(known: Known) -> float:
@@ -143,14 +182,32 @@ def no_plateau(run: Run) -> str:
         return f"none: the pressure still changes by more than {change} from one fifth of the travel to the next"
     if past_ramp(run.scene, pipe.travel):
         return "none: the run was cut before the piston had moved steadily for long enough"
+    gone = travel - pipe.begun(travel)
     return (
-        f"none: of {travel:.4g} m of travel the last {WINDOW * travel:.3g} m must come after the ramp of "
+        f"none: of {gone:.4g} m of travel the last {WINDOW * gone:.3g} m must come after the ramp of "
         f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
     )
 
 
+def _restart_words(run: Run) -> str:
+    restart = number(run.result["restart_pressure"])
+    steady = number(run.result[_steady(run)])
+    return (
+        f"{restart / 1e3:.2f} kPa, {restart / steady:.3g} times the pressure at the end; "
+        f"first peak {number(run.result['first_peak_pressure']) / 1e3:.2f} kPa"
+    )
+
+
+def _steady(run: Run) -> str:
+    return "plateau_pressure" if "plateau_pressure" in run.result else "end_pressure"
+
+
 def _pumped(of):
     return lambda known: of(known) if known.pumped else None
+
+
+def _restarted(of):
+    return lambda known: of(known) if known.restarted else None
 
 
 def _level(of):
@@ -167,10 +224,18 @@ QUANTITIES = (
     Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std())),
     Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0])),
     Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean())),
+    Quantity("first_peak_pressure", "Pa", _restarted(lambda k: k.peaks[0])),
+    Quantity("held_pressure", "Pa", _restarted(lambda k: k.held), "pressure held at the stop"),
+    Quantity("restart_pressure", "Pa", _restarted(lambda k: k.peaks[-1]), "peak of the restart", _restart_words, True),
+    Quantity("restart_over_end", "1",
+             _restarted(lambda k: k.peaks[-1] / k.series["pressure"][k.window].mean())),
     Quantity("coordination_number", "1", lambda k: k.contacts.coordination_number),
     Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
     Quantity("momentum_balance_error", "1", momentum_balance),
     Quantity("energy_balance_error", "1", energy_balance),
+    *OF_WEAR,
+    *OF_BLOCKAGE,
+    *OF_SEGREGATION,
 )  # fmt: skip
 
 
@@ -183,6 +248,11 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     vessel = run.scene.vessel
     if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
         yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    if run.result.get("blocked"):
+        yield "BLOCKED", blocked_words(run)
+    if "segregation" in run.result:
+        yield "segregation", segregation_words(run)
+    yield from report_wear(run)
     packing = run.packing  # type: ignore[attr-defined]
     if packing:
         yield (

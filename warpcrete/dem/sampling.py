@@ -15,7 +15,11 @@ from .measures import UNITS as MEASURED
 from .measures import measured
 from .model import Model
 from .probes import both_sums
+from .segregation import UNITS as SEGREGATION
+from .segregation import row_of
 from .state import State
+from .wear import UNITS as WEAR_UNITS
+from .wear import WearMap
 
 UNITS = {
     "time": "s",
@@ -39,6 +43,7 @@ UNITS = {
     "time_step": "s",
     "reach": "m",
     **MEASURED,
+    **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
 """Of columns that end in an axis."""
@@ -59,6 +64,9 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
     wall, _, kind = name.rpartition("_")
     if axis in AXES and kind in WALL_UNITS and wall in [w.name for w in walls]:
         return WALL_UNITS[kind]
+    for kind, unit in WEAR_UNITS.items():
+        if column.removesuffix(f"_{kind}") in [w.name for w in walls]:
+            return unit
     raise KeyError(f"column {column!r} has no unit; enter it in warpcrete/dem/sampling.py")
 
 
@@ -73,6 +81,9 @@ class Sampler:
         self._half_time = 0.0
         self._power = 0.0
         self._drive_work = 0.0
+        wear = model.scene.wear
+        self.wear = WearMap(model.walls, wear) if model.features.wear and wear is not None else None
+        """What contacts did to walls, up to the last row; None where nobody asked."""
 
     def state_dict(self) -> dict[str, Any]:
         """All that the next row depends on, and the rows so far, as arrays and numbers."""
@@ -84,6 +95,7 @@ class Sampler:
             "half_time": self._half_time,
             "power": self._power,
             "drive_work": self._drive_work,
+            "wear": self.wear.state_dict() if self.wear is not None else None,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -92,6 +104,8 @@ class Sampler:
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
         self._drive_work = float(state["drive_work"])
+        if self.wear is not None:
+            self.wear.load_state_dict(state["wear"])
 
     def series(self) -> dict[str, np.ndarray]:
         """Columns by name."""
@@ -136,6 +150,11 @@ class Sampler:
                 row[f"{wall.name}_force_{letter}"] = float(self._mean[number, axis])
                 row[f"{wall.name}_moment_{letter}"] = float(self._mean[number, 3 + axis])
                 row[f"{wall.name}_impulse_{letter}"] = float(impulse[number, axis])
+        if scene.segregation:
+            row |= row_of(model, state)
+        if self.wear is not None:
+            self.wear.take(state)
+            row |= self.wear.columns()
         self.rows.append(row)
         return row
 

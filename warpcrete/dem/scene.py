@@ -5,6 +5,7 @@ Defaults are the reference concrete of Zhan et al. 2019, Table 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -16,15 +17,15 @@ from ..core.errors import between, one_of, positive, refuse, vector
 from ..core.html import Parametrised
 from ..core.parameters import Above, Declared, Within
 from ..geometry.axis import Axis
-from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Wall
+from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from .clumps import ClumpTemplate
 from .containers import Fill
 from .laws import Contact, ContactLaw
 
 __all__ = [
-    "AxisDrive", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall", "Motion",
-    "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Scene", "Settle", "TimeStep",
-    "Vessel", "Wall", "Watch",
+    "AxisDrive", "Blockage", "Bodies", "Bonds", "Contact", "ContactLaw", "Driven", "Fill", "Hydration", "MeshWall",
+    "Motion", "PipeUnit", "PipeWall", "PlaneWall", "Prescribed", "PressureProbe", "Published", "Rest", "Scene",
+    "Settle", "Stops", "TimeStep", "Vessel", "Wall", "Watch", "Wear",
 ]  # fmt: skip
 
 
@@ -204,6 +205,35 @@ class Watch(Declared):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Wear(Declared):
+    """What contacts do to walls is added up, patch by patch: a pipe's along and around it, a mesh's by triangles.
+
+    Depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times way slid, over the area, k = K/H.
+    """
+
+    called = "wear"
+
+    coefficient: Annotated[
+        float, "k, volume worn over load and way slid [m2/N]; of steel by stones 1e-13 to 1e-12", Within(0)
+    ] = 2e-13
+    patch: Annotated[float | None, "side of a patch of a pipe's wall [m]; default: a 24th of its circumference",
+                     Above()] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blockage(Declared):
+    """The run says when its pipe is blocked: part of the concrete stands while the piston goes on."""
+
+    called = "blockage"
+
+    travel: Annotated[
+        float | None, "of the piston, for which part of the concrete stands [m]; default: a twentieth of the "
+        "concrete's length, of soft aggregates a diameter, up to a fifth of it", Above(),
+    ] = None  # fmt: skip
+    stop: Annotated[bool, "end the run there"] = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class PressureProbe:
     """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
 
@@ -232,6 +262,19 @@ class PipeUnit:
     """Travel of the piston over which its velocity rises from rest [m]."""
     travel: float
     """Of the piston at the end [m]."""
+    stops: Stops | None = None
+    """Of the piston on its way."""
+
+    @property
+    def stroke(self) -> float:
+        """Travel of each stroke of the piston [m]."""
+        return self.travel / (1 + self.stops.count if self.stops is not None else 1)
+
+    def begun(self, travel: float) -> float:
+        """Travel at which the stroke began that the piston is in, or comes to next, after so much travel [m]."""
+        if self.stops is None:
+            return 0.0
+        return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,6 +297,39 @@ class Vessel:
         missing = [name for name in VESSELS[self.test] if name not in self.dimensions]
         if missing:
             refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest(Declared):
+    """Minutes that concrete stands at one moment of a run, not stepped through: its structure grows by a law.
+
+    Static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006): so much is added to tensile strength
+    and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls. Bonds that held keep
+    their loads; contacts without one are bonded without load; hydrated ones and those of groups stay as they were. A
+    bond that breaks then is broken for good. What the layer gained is worn off by slip, as exp(-slip / breakdown), the
+    travel of `wall` since then being the slip everywhere, as for a plug. Nothing moves meanwhile.
+    """
+
+    called = "rest"
+
+    at: Annotated[float, "simulated time at which it is put in [s]", Within(0)]
+    duration: Annotated[float, "[s]", Within(0)]
+    growth: Annotated[float, "A_thix [Pa/s]", Within(0)] = 0.5
+    breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above()] = 0.1
+    coverage: Annotated[
+        float, "area on which a layer acts (pi r^2 of every contact) over the wall's: it gains by as much more", Above()
+    ] = 1.0
+    wall: Annotated[str, "name of the wall whose travel is the slip"] = "piston"
+
+    @property
+    def gained(self) -> float:
+        """Stress by which strengths and yield stress have grown [Pa]."""
+        return self.growth * self.duration
+
+    @property
+    def layer_gained(self) -> float:
+        """The same of a layer, on the area that it acts on [Pa]."""
+        return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,6 +370,7 @@ class Scene(Parametrised):
     """[m/s2]"""
     local_damping: float = 0.0
     settle: Settle | None = None
+    rest: Rest | None = None
     time_step: TimeStep = field(default_factory=TimeStep)
     watch: Watch = field(default_factory=Watch)
     sample_interval: float = 0.01
@@ -303,6 +380,12 @@ class Scene(Parametrised):
     """`float32` or `float64`, of positions, velocities and forces."""
     energy_balance: bool = False
     """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
+    wear: Wear | None = None
+    """Add up what contacts do to walls; None does not."""
+    blockage: Blockage | None = None
+    """Look for it, where there are `pipe` and `pressure`; None does not."""
+    segregation: bool = False
+    """Measure where in the pipe the aggregate is; needs `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
@@ -326,6 +409,11 @@ class Scene(Parametrised):
         planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
         if self.pressure is not None and self.pressure.wall not in planes:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")
+        wanted = self.blockage is not None and (self.blockage.stop or self.blockage.travel is not None)
+        if wanted and not self.looks_for_blockage:
+            refuse("blockage", self.blockage, "needs a pipe and a pressure", "set Scene.pipe and Scene.pressure")
+        if self.segregation and self.pipe is None:
+            refuse("segregation", self.segregation, "needs a pipe", "set Scene.pipe")
         driven = [drive.group for drive in self.drives]
         if len(set(driven)) != len(driven):
             refuse("drives", driven, "may name each group once")
@@ -333,8 +421,15 @@ class Scene(Parametrised):
         for group in [drive.group for drive in self.drives] + list(self.group_bonds):
             if group not in groups:
                 refuse("group", group, f"must be one of the bodies' groups ({', '.join(sorted(groups)) or 'none'})")
+        if self.rest is not None and self.rest.wall not in names:
+            refuse("rest.wall", self.rest.wall, f"must be a wall ({', '.join(names) or 'none'})")
         if self.hydration is not None and self.bonds is None:
             refuse("hydration", self.hydration, "needs bonds", "set Scene.bonds")
+
+    @property
+    def looks_for_blockage(self) -> bool:
+        """There is a pipe, and a piston's pressure, to look at."""
+        return self.blockage is not None and self.pipe is not None and self.pressure is not None
 
     def __repr__(self) -> str:
         placed = sum(len(bodies.positions) for bodies in self.bodies)

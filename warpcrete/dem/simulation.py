@@ -13,6 +13,7 @@ from ..core.method import results_of
 from ..core.provenance import provenance
 from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
+from .blockage import BlockageWatch
 from .bodies import BodyTable, placed_bodies
 from .display import ElementDisplay
 from .measures import at_rest, is_over
@@ -26,7 +27,9 @@ from .sampling import STORED, Sampler, unit_of
 from .scene import Scene
 from .state import State
 from .stepper import Stepper
+from .strokes import stroke_table
 from .watch import Watch
+from .wear import WearMap
 
 QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
 SETTLING_PARTS = 50  # looks at that on the way
@@ -39,6 +42,8 @@ class ElementRun(Run):
     packing: PackingReport | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
     """Bodies at the end."""
+    wear: WearMap | None = None
+    """What contacts did to the walls; None where the scene did not ask for it."""
 
 
 class ElementSimulation(Simulation):
@@ -55,6 +60,8 @@ class ElementSimulation(Simulation):
         """The model."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
+        self.rested: float | None = None
+        """Travel of the piston at which the concrete stood [m]; None before."""
 
     @property
     def prepared(self) -> bool:
@@ -167,10 +174,19 @@ class ElementSimulation(Simulation):
         if scene.hydration is not None:
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
+    def reaching(self, time: float) -> Coroutine:
+        """Go on to a time [s], through the rest if it is on the way."""
+        rest = self.scene.rest
+        if rest is not None and self.rested is None and rest.at <= time:
+            yield Until(rest.at)
+            self.rested = self.stepper.stand()
+        yield Until(time)
+
     def _begin(self) -> None:
         self.stepper.running = True
         self.sampler = Sampler(self.model, self.state)
         self.watch = Watch(self.model, self.state)
+        self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
     # Checkpoints.
 
@@ -182,7 +198,9 @@ class ElementSimulation(Simulation):
             "stepper": self.stepper.state_dict(),
             "sampler": self.sampler.state_dict(),
             "watch": self.watch.state_dict(),
+            "blockage": self.blockage.state_dict() if self.blockage is not None else None,
             "packing": asdict(self.packing) if self.packing else None,
+            **({"rested": self.rested} if self.scene.rest is not None else {}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -206,6 +224,11 @@ class ElementSimulation(Simulation):
         self._begin()
         self.sampler.load_state_dict(state["sampler"])
         self.watch.load_state_dict(state["watch"])
+        self.rested = state.get("rested")
+        if self.rested is not None:
+            self.stepper.wear_from(self.rested)
+        if self.blockage is not None:
+            self.blockage.load_state_dict(state["blockage"])
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
 
@@ -213,22 +236,33 @@ class ElementSimulation(Simulation):
         """Let go of the device's memory; the run's results stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        for name in ("state", "stepper", "sampler", "watch"):  # a run may have failed before it had them all
+        for name in (
+            "state",
+            "stepper",
+            "sampler",
+            "watch",
+            "blockage",
+        ):  # a run may have failed before it had them all
             self.__dict__.pop(name, None)
 
     # Samples and results.
 
     def measure(self) -> dict[str, float]:
         """Measure, and append the row to `rows`."""
-        return self.sampler.sample()
+        row = self.sampler.sample()
+        if self.blockage is not None:
+            self.blockage(row)
+        return row
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
         self.watch(row)
 
     def ended_early(self) -> bool:
-        """Concrete in a vessel has come to rest, or flowed out."""
-        vessel = self.scene.vessel
+        """Concrete in a vessel has come to rest, or flowed out; a pipe is blocked, where that ends the run."""
+        vessel, blockage = self.scene.vessel, self.scene.blockage
+        if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
+            return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def result(self, finished: bool) -> ElementRun:
@@ -248,6 +282,8 @@ class ElementSimulation(Simulation):
         if self.scene.pipe is not None:
             result["unit"] = self.scene.pipe.name
             result["concrete_length"] = quantity(self.scene.pipe.concrete_length, "m")
+            if self.scene.pipe.stops is not None and "pressure" in series:
+                result["strokes"] = stroke_table(self.scene.pipe, series)
         if self.scene.vessel is not None:
             result["at_rest"] = bool(self.rows) and state.sphere_count > 0 and at_rest(self.scene.vessel, self.rows)
         if self.packing is not None:
@@ -261,7 +297,11 @@ class ElementSimulation(Simulation):
             }
             mass = float(state.bodies.mass.numpy().sum(dtype=float))
             contacts = contact_sums(self.model, state, coordination=True)
-            result |= results_of(QUANTITIES, Known(self.scene, self.model.walls, series, mass, contacts))
+            known = Known(
+                self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
+                blocked=self.blockage.found if self.blockage is not None else None,
+            )  # fmt: skip
+            result |= results_of(QUANTITIES, known)
         result["speed"] = {
             "wall_time": quantity(running, "s"),
             "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
@@ -273,4 +313,7 @@ class ElementSimulation(Simulation):
         result["state_hash"] = state_hash(state)
         result["provenance"] = provenance(self.device, self.precision, self.scene.seed)
         units = {name: self.unit(name) for name in series}
-        return ElementRun(self.scene, series, units, result, finished, packing=self.packing, bodies=state.table())
+        return ElementRun(
+            self.scene, series, units, result, finished, packing=self.packing, bodies=state.table(),
+            wear=self.sampler.wear,
+        )  # fmt: skip

@@ -44,13 +44,15 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         stages = _half_contacts(b, part, *spheres)
         stages += meet
         if part == 0 and f.walls:
-            stages.append(b.stage(advance_kernel(b.scalar), b.wall_count))
+            stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count))
         stages.append(_motion(b, *bodies))
         stages += meet
         if f.subcycling:
             stages += b.subcycles.stages(part)
         if part == 0:
             stages.append(b.stage(clock_kernel(b.scalar, f.growth), b.count))
+            if b.structure is not None:
+                stages.append(b.structure.stage())
         stages += meet
         step.append(stages)
     return step
@@ -62,12 +64,12 @@ def _full_step(batch: Batch) -> list[Stage]:
     width = warp_width(b.device)
     stages = []
     if f.walls:
-        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, width)
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, f.wear, width)
         stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar), b.wall_count, beside=True))
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
     links = len(b.links.link)
     candidates = 4 if links >= MANY_LINKS else 1
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width)
@@ -78,6 +80,7 @@ def _full_step(batch: Batch) -> list[Stage]:
         _motion(b, 0, b.body_count),
         *(b.subcycles.stages(0) if f.subcycling else ()),
         b.stage(clock_kernel(b.scalar, f.growth), b.count),
+        *([b.structure.stage()] if b.structure is not None else []),
     ]
     return stages
 
@@ -88,7 +91,7 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
     if f.analytic:
-        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation)
+        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation, f.wear)
         stages.append(b.stage(walls, tasks(b, last - first), first=first, last=last, part=part))
     if f.meshes:
         stages.append(_meshes(b, part, first, last))
@@ -97,7 +100,7 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
 
 def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = False) -> Stage:
     b, f = batch, batch.features
-    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation)
+    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation, f.wear)
     named = {"first": first, "last": last, "part": part, **members(kernel, wall=b.walls, slot=b.slots)}
     return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
 

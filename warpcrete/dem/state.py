@@ -167,6 +167,7 @@ class State:
         model, n = self.model, self.sphere_count
         walls = len(model.walls)
         meshed = n if model.features.meshes else 0
+        worn = (n, walls) if model.features.wear else (0, walls)
         slots = model.analytic_walls + (MESH_SLOTS if model.features.meshes else 0)
         self._fill(
             "slots",
@@ -176,6 +177,8 @@ class State:
             normal=(meshed, slots),
             overlap=(meshed, slots),
             wall=np.full((meshed, slots), -1) if meshed else (0, slots),
+            worn=worn,
+            worn_at=worn,
         )
         rest = model.rest_position.numpy().reshape(-1, 3)
         normals = [getattr(wall, "normal", (0.0, 0.0, 0.0)) for wall in model.walls]

@@ -12,6 +12,7 @@ from ..core.run_loop import Coroutine, Until
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
 from ..kernels.dem.clock import CLOSE
+from ..kernels.dem.probes import TRAVEL
 from ..kernels.dem.structs import DT_PREVIOUS, TIME
 from ..kernels.dem.subcycling import PART
 from ..kernels.dem.wall_motion import SPEED_LIMIT
@@ -149,6 +150,24 @@ class Stepper:
             self._choose_rounds()
         return made
 
+    def stand(self) -> float:
+        """Put in the scene's rest, with bonds and layer as after it; returns the travel from which slip counts [m]."""
+        scene, model, batch = self.model.scene, self.model, self.batch
+        assert scene.rest is not None
+        if scene.bonds is not None:
+            kind = len(model.bond_kinds)
+            reassign_bonds(model, self.state, 1, kind, 1.0, scene.seed)
+            self.bond(scene.bonds, kind)
+        number = next(k for k, wall in enumerate(model.walls) if wall.name == scene.rest.wall)
+        begun = float(batch.host_walls(self.index)[number, int(TRAVEL)])
+        self.wear_from(begun)
+        return begun
+
+    def wear_from(self, begun: float) -> None:
+        """Let the layer have what it gained at rest, less what slip since a travel of `begun` [m] took."""
+        if self.batch.structure is not None:
+            self.batch.structure.grow(self.index, begun)
+
     def _choose_rounds(self) -> None:
         """Step hydrated bonds in as many rounds as they need within a step of all else."""
         subcycles, step = self.batch.subcycles, self.time_step
@@ -171,6 +190,7 @@ class Stepper:
             getattr(state.walls, name).zero_()
         state.spheres.dissipated_energy.zero_()
         state.spheres.broken.zero_()
+        state.slots.worn.zero_()
         self._estimated = False
         self.rebuild()
 

@@ -12,7 +12,7 @@ import warp as wp
 from ..core.device import quiet_init
 from ..core.errors import refuse
 from ..core.launching import launch
-from ..kernels.common.mesh_queries import ray_distances, signed_distances
+from ..kernels.common.mesh_queries import nearest_faces, ray_distances, signed_distances
 from .axis import Axis
 from .walls import MeshWall, PipeWall
 
@@ -216,6 +216,18 @@ def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.nd
     outward = (points - nearest) / np.maximum(apart, 1e-12)[:, None]
     found = rays(wall, nearest, outward, float(apart.max(initial=1e-12)) * 1.001)
     return (found < 0) | (found >= apart)
+
+
+def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
+    """Triangle of the mesh that is nearest to each of `points` (n, 3) [m], -1 where none is within `reach` [m].
+
+    `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3); single precision.
+    """
+    surface = _warp_mesh(mesh, "cpu")
+    face = wp.zeros(len(points), dtype=wp.int32, device="cpu")
+    queries = wp.array(np.ascontiguousarray(points, np.float32), dtype=wp.vec3, device="cpu")
+    launch(nearest_faces, len(points), wp.get_device("cpu"), mesh=surface.id, points=queries, reach=reach, face=face)
+    return face.numpy().astype(int)
 
 
 def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:

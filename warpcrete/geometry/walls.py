@@ -14,11 +14,38 @@ from .axis import Axis
 
 SIDES = 48
 """Of round walls as they are drawn."""
+MOST_STOPS = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stops:
+    """Strokes from rest to rest, each with a pause behind it, before a prescribed motion holds its speed for good."""
+
+    count: int
+    """Of strokes that end in a pause."""
+    stroke_time: float
+    """Of each, the ramps at both of its ends included [s]"""
+    pause: float
+    """[s]"""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.count, bool) or not isinstance(self.count, int) or not 1 <= self.count <= MOST_STOPS:
+            refuse("stops", self.count, f"must be a whole number, 1 to {MOST_STOPS}")
+        positive("stroke_time", self.stroke_time, "s")
+        between("pause", self.pause, 0, np.inf, "s")
+
+    @property
+    def period(self) -> float:
+        """From the start of a stroke to that of the next [s]."""
+        return self.stroke_time + self.pause
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prescribed:
-    """Motion that nothing can change: speed ramps linearly from rest over `ramp_time`, then holds."""
+    """Motion that nothing can change: speed ramps linearly from rest over `ramp_time`, then holds.
+
+    With `stops` it first falls as it rose, rests and rises again, so often; then it holds.
+    """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Final velocity [m/s]."""
@@ -29,16 +56,22 @@ class Prescribed:
     """[s]"""
     start_time: float = 0.0
     """[s]"""
+    stops: Stops | None = None
 
     def __post_init__(self) -> None:
         for name in ("velocity", "spin", "pivot"):
             object.__setattr__(self, name, vector(f"motion {name}", getattr(self, name)))
         between("ramp_time", self.ramp_time, 0, np.inf, "s")
         between("start_time", self.start_time, 0, np.inf, "s")
+        if self.stops is not None and self.stops.stroke_time < 2 * self.ramp_time * (1 - 1e-12):
+            refuse("stroke_time", self.stops.stroke_time, f"must hold two ramps of {self.ramp_time:g} s",
+                   "shorten the ramp")  # fmt: skip
 
     def fill(self, row: Any) -> None:
         """Enter the motion in a wall's row of a device table."""
         row.motion = int(PRESCRIBED)
+        if self.stops is not None:
+            row.stops, row.stroke_time, row.pause = self.stops.count, self.stops.stroke_time, self.stops.pause
         row.velocity, row.spin, row.pivot = self.velocity, self.spin, self.pivot
         row.ramp_time, row.start_time = self.ramp_time, self.start_time
 

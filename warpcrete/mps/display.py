@@ -8,8 +8,8 @@ import numpy as np
 
 from ..core.display import Curve, Display, DrawnWall, Plot, Points, Profile, on_palette
 from ..geometry.axis import Axis, Line
+from ..theory.pipe import velocity
 from .probes import MIDDLE, Snapshot, over_radius
-from .theory import velocity
 
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)

@@ -1,4 +1,4 @@
-"""Concretes by name, and the mortar that is left of one without its coarse aggregate."""
+"""Concretes by name, as flows take them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ..core.concretes import concrete, is_file, known_only, shipped
-from ..core.errors import between, one_of, refuse
-from .theory import THICKER_LAYERS, Concrete
+from ..core.concretes import is_file, known_only, shipped
+from ..core.errors import one_of, refuse
+from ..mix.mix import completed, mix_named
+from ..theory.pipe import THICKER_LAYERS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Of a concrete, each of which may be given in place of a named one's."""
-SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
-"""Intrinsic viscosity and densest random packing of rigid inclusions: in three dimensions, and in two."""
+AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
+"""Of its coarse aggregate in a flow of two phases."""
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
@@ -26,8 +25,8 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     A slip layer of one of the thicknesses of the paper's Table 3 has the eta_L printed there.
     """
     given = {key: value for key, value in constants.items() if value is not None}
-    known = {} if len(given) == len(CONSTANTS) else _flow_of(name)
-    missing = sorted(set(CONSTANTS) - set(given) - set(known))
+    named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
+    missing = sorted(set(CONSTANTS) - set(given) - set(named))
     if missing:
         refuse("concrete", name, f"needs {', '.join(missing)}", f"give them, or take one of {', '.join(flowing())}")
     if slip_thickness > 0 and "slip_viscosity" not in given and name in THICKER_LAYERS:
@@ -39,12 +38,12 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
                 "slip_thickness", slip_thickness, f"has no printed constants ({printed} have)", "give slip_viscosity"
             )
         given["slip_viscosity"] = match[0]
-    return Concrete(name=Path(name).stem, **{**known, **given})
+    return Concrete(name=Path(name).stem, **{**named, **given})
 
 
 def flowing() -> list[str]:
     """Names of the shipped concretes whose flow is known."""
-    return [name for name in shipped() if concrete(name).flow]
+    return [name for name in shipped() if completed(name).flow]
 
 
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
@@ -56,38 +55,29 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     return _flow_of(name)
 
 
+def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
+    """Share, density and mortar of the coarse aggregate, where two phases are asked for and the concrete among a
+    scene's parameters is a file that describes a mix."""
+    name = values.get("concrete")
+    name = str(name) if isinstance(name, os.PathLike) else name
+    if not values.get("aggregates") or not isinstance(name, str) or not is_file(name):
+        return {}
+    if all(each in values for each in AGGREGATES):
+        return {}
+    found = mix_named(name)
+    return {} if found is None else found.aggregates
+
+
 def _flow_of(name: str) -> dict[str, float]:
     """Constants of a concrete by name or from a file; `own` has none."""
     if name == "own":
         return {}
     if not is_file(name):
         one_of("concrete", name, (*flowing(), "own"))
-    known = known_only("flow", concrete(name).flow, CONSTANTS, name)
-    if not known:
+    found = known_only("flow", completed(name).flow, CONSTANTS, name)
+    if not found:
         refuse("concrete", name, "has no section 'flow'", f"give it one: {', '.join(CONSTANTS)}")
-    for key, value in known.items():
+    for key, value in found.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             refuse(f"concrete flow {key}", value, f"must be a number (in {name})")
-    return known
-
-
-def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
-    """Mortar whose mix with a `fraction` of coarse aggregate of `density` gives `concrete`, by homogenisation.
-
-    Krieger & Dougherty for the viscosity, f = (1 - fraction / densest)^(-intrinsic densest), and Chateau, Ovarlez &
-    Trung (2008) for the yield stress, the root of (1 - fraction) f; `inclusions` names the constants in
-    :data:`SUSPENSIONS`. An assumption: the paper measured its mortars and does not print them.
-    """
-    one_of("inclusions", inclusions, SUSPENSIONS)
-    intrinsic, densest = SUSPENSIONS[inclusions]
-    between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "less than the densest packing")
-    factor = (1 - fraction / densest) ** (-intrinsic * densest)
-    rest = (concrete.density - fraction * density) / (1 - fraction)
-    return Concrete(
-        name=f"mortar of {concrete.name}",
-        density=rest,
-        viscosity=concrete.viscosity / factor,
-        yield_stress=concrete.yield_stress / np.sqrt((1 - fraction) * factor),
-        slip_viscosity=concrete.slip_viscosity,
-        slip_yield=concrete.slip_yield,
-    )
+    return found

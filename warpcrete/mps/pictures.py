@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.run_loop import Run
 from ..core.units import number
-from .theory import velocity
+from ..theory.pipe import velocity
 
 
 def plot_flow(

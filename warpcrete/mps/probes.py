@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..theory.pipe import velocity
 from .particles import MovingParticles
-from .theory import velocity
 
 MIDDLE = (0.4, 0.6)
 """Part of the column, in parts of its height, in which slip velocity and profile are taken."""
@@ -33,6 +33,8 @@ UNITS = {
     "momentum": "kg m/s",
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
+    "layer_gained": "Pa",
+    "bulk_gained": "Pa",
     "aggregate_inner": "1",
     "aggregate_outer": "1",
     "aggregate_front": "1",

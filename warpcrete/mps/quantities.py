@@ -10,8 +10,8 @@ import numpy as np
 from ..core.method import Quantity
 from ..core.run_loop import Run
 from ..core.units import number, shown
+from ..theory.pipe import Steady
 from .scene import FluidScene
-from .theory import Steady
 
 LAST = 0.2
 """Part of a run of given duration, at its end, whose means are the run's quantities; else the last row's are."""
@@ -80,8 +80,24 @@ def _of_column(name: str) -> tuple[Quantity, ...]:
     )
 
 
+def _restarted(of):
+    return lambda known: of(known) if known.scene.gained else None
+
+
+def _restart_words(run: Run) -> str:
+    peak, whole = (number(run.result[name]) / 1e3 for name in ("restart_pressure", "restart_pressure_theory"))
+    return (
+        f"{peak:.4g} kPa, {run.result['restart_over_steady']:.3g} times the steady pressure by theory   (theory with "
+        f"all of the structure: {whole:.4g})"
+    )
+
+
 QUANTITIES = (
     *(quantity for name in COMPARED for quantity in _of_column(name)),
+    Quantity("restart_pressure", "Pa", _restarted(lambda k: k.series["pressure"].max()), "peak of the restart",
+             _restart_words, True),
+    Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure)),
+    Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure)),
     Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
              lambda run: f"rms {100 * run.result['profile_error']:.2f} % of the mean velocity off theory", True),
     Quantity("volume_error", "1", lambda k: _largest(k.series["volume_error"])),

@@ -14,11 +14,12 @@ import numpy as np
 from ..core.device import PRECISIONS
 from ..core.errors import between, one_of, positive, refuse
 from ..core.html import Parametrised
-from ..core.parameters import Above, Alias, Declared, OneOf, Within
-from .theory import Concrete, Line, Steady, steady
+from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
 FEWEST_ACROSS = 4  # particles over the pipe's width
 ENDS = ("piston", "periodic")
+RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 SHORTEST = 8  # spacings in the column's length: less has no inside that neither piston nor surface disturbs
 
 
@@ -102,6 +103,15 @@ class FlowSettings(Declared):
     precision: Annotated[str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)] = "float32"
     sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 5e-3
     seed: Annotated[int, "random seed, of the aggregate", Within(0)] = 0
+    rest: Annotated[
+        float, "that concrete has stood in the pipe before it flows: yield stresses of bulk and slip layer have grown "
+        "by thixotropy x rest [s]", Within(0),
+    ] = 0.0  # fmt: skip
+    thixotropy: Annotated[float, "A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED] = 0.5
+    breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above(), RESTED] = 0.1
+    breakdown_strain: Annotated[
+        float, "shear by which what the bulk gained falls to 1/e, 1 / alpha (Roussel 2006)", Above(), RESTED
+    ] = 100.0
     tolerated_error: Annotated[
         float | None,
         "against theory, that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
@@ -150,6 +160,9 @@ class FluidScene(Parametrised, FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.paper_scheme and self.aggregates is not None:
             refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+        if self.ends == "piston" and self.rest:
+            refuse("rest", self.rest, "is of flows on a grid, which holds what breaks of the structure",
+                   "take ends = periodic, or 0")  # fmt: skip
         if self.ends == "piston" and self.step_error:
             refuse("step_error", self.step_error, "is of flows on a grid; a column on a piston has equal steps",
                    "take ends = periodic, or 0")  # fmt: skip
@@ -191,6 +204,16 @@ class FluidScene(Parametrised, FlowSettings):
         """The pipe as the theory sees it."""
         return Line(radius=self.radius, length=self.length, gravity=self.gravity)
 
+    @property
+    def gained(self) -> float:
+        """By yield stresses at rest [Pa]."""
+        return self.thixotropy * self.rest
+
     def theory(self) -> Steady:
         """The steady state by closed form."""
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
+
+    def restart(self) -> Steady:
+        """The state in which it would flow as fast if none of the structure broke that it gained at rest."""
+        flow = np.pi * self.radius**2 * self.velocity
+        return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -10,6 +10,7 @@ from ..core.method import results_of
 from ..core.provenance import arrays_hash, provenance
 from ..core.run_loop import Run
 from ..core.units import quantity
+from ..theory.pipe import velocity
 from . import probes
 from .display import FlowDisplay
 from .grid import probes as grid_probes
@@ -22,7 +23,6 @@ from .quantities import QUANTITIES, Known
 from .run import FlowRun
 from .scene import FluidScene
 from .state import FluidState
-from .theory import velocity
 from .watch import WatchedFlow
 
 LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
@@ -30,6 +30,10 @@ SETTLES = 0.03
 """Time in which a flow becomes steady, about [s]."""
 PROFILES = (0.2, 0.5, 0.8)
 """Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
+BREAKING = 6.0
+"""Slips by which a layer's structure falls to 1/e, after which a flow ends all the same."""
+BROKEN = 0.01
+"""Part that may be left of what a layer gained at rest in a steady flow."""
 APART = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
@@ -58,7 +62,10 @@ class FluidSimulation(FlowRun):
     @property
     def duration(self) -> float:
         """Simulated time of the whole run, at most [s]."""
-        return LONGEST if self.scene.duration is None else self.scene.duration
+        if self.scene.duration is not None:
+            return self.scene.duration
+        breaking = BREAKING * self.scene.breakdown / self.scene.velocity if self.scene.gained else 0.0
+        return max(LONGEST, breaking)
 
     @property
     def expected_duration(self) -> float:
@@ -96,6 +103,8 @@ class FluidSimulation(FlowRun):
     def ended_early(self) -> bool:
         """The flow is steady, and no duration was asked for."""
         now, part = self._rows[-1], self.scene.steadiness
+        if self.scene.gained and now["layer_gained"] > BROKEN * self.scene.gained:
+            return False  # it may break so slowly that nothing else shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
             # The first row holds no slip layer yet; one agreement may be chance.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..core.errors import InstabilityError
+from ..theory.pipe import velocity
 from .scene import FluidScene
-from .theory import velocity
 
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns that are numbers in every row of a flow that means anything."""
@@ -21,7 +21,7 @@ class WatchedFlow:
         self.limits = scene.watch
         self.cures = CURES + (OF_COLUMNS if scene.ends == "piston" else "")
         theory = scene.theory()
-        self.pressure = theory.pressure
+        self.pressure = scene.restart().pressure
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
 
     def __call__(self, row: dict[str, float]) -> None:

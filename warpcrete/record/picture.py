@@ -10,7 +10,7 @@ from ..methods import method_of
 
 
 class PictureRecorder(Recorder):
-    """Writes the picture that the run's method draws into `folder`, when the run ends."""
+    """Writes the pictures that the run's method draws into `folder`, when the run ends."""
 
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         self.folder, self.colouring = folder, colouring
@@ -18,7 +18,8 @@ class PictureRecorder(Recorder):
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Draw, if there is anything to draw."""
         method = method_of(simulation.scene)
-        figure = method.draw(simulation, run, self.colouring)
-        if figure is not None:
-            with whole_file(self.folder / method.picture) as partial:
-                figure.savefig(partial, dpi=150, format="png")
+        figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
+        for name, figure in figures.items():
+            if figure is not None:
+                with whole_file(self.folder / name) as partial:
+                    figure.savefig(partial, dpi=150, format="png")

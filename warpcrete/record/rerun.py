@@ -114,6 +114,9 @@ class RerunRecorder(Recorder):
         self._log(f"scene/{display.noun}", spheres)
         for number, name in self._moving:
             self._log_pose(number, f"scene/walls/{name}")
+        for number, wall in enumerate(self._walls):
+            if (colours := display.wall_colours(number)) is not None:
+                self._log(f"scene/walls/{wall}", rr.Mesh3D.from_fields(vertex_colors=colours))
         if self.network:
             for name, lines in display.network().items():
                 self._log(f"{CHAINS}/{name}", rr.LineStrips3D(lines.ends, colors=lines.colours, radii=lines.radii))
@@ -207,7 +210,9 @@ class RerunRecorder(Recorder):
         rr = self._rr
         self._recording = rr.RecordingStream("warpcrete", recording_id=recording_id)
         self._id, self._parts, self._display = recording_id, part, display
-        self._moving = [(number, wall.name) for number, wall in enumerate(display.walls()) if wall.moves]
+        walls = display.walls()
+        self._walls = [wall.name for wall in walls]
+        self._moving = [(number, wall.name) for number, wall in enumerate(walls) if wall.moves]
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         try:

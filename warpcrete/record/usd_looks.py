@@ -13,8 +13,8 @@ from ..core.display import Display, DrawnWall
 from .legend import meaning
 
 LOOKS = "/Run/Looks"
-CLEAR = 0.14
-"""Opacity of glass, at least."""
+CLEAR, PAINT = 0.14, 0.6
+"""Opacity of glass, at least, and of what has colours of its own, as wear."""
 SUN, SKY = 0.6, 0.5
 """Intensities of the light from one side, whatever the size of its disc, and of that from all around."""
 SUN_ANGLE = 4.0
@@ -62,28 +62,40 @@ def light(stage: Any, display: Display) -> None:
 
 def bodies_look(stage: Any) -> Any:
     """Material that takes its colour from `displayColor`."""
-    from pxr import Gf, Sdf, UsdShade
+    from pxr import Sdf
 
     material, surface = _material(stage, "Bodies")
-    reader = UsdShade.Shader.Define(stage, f"{LOOKS}/Bodies/Colour")
+    _by_display_colour(stage, surface, "Bodies")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
+    return material
+
+
+def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
+    from pxr import Gf, Sdf, UsdShade
+
+    reader = UsdShade.Shader.Define(stage, f"{LOOKS}/{name}/Colour")
     reader.CreateIdAttr("UsdPrimvarReader_float3")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
     reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(Gf.Vec3f(0.5, 0.5, 0.5))
     reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
     colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     colour.ConnectToSource(reader.ConnectableAPI(), "result")
-    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
-    return material
 
 
-def wall_look(stage: Any, wall: DrawnWall, name: str) -> tuple[Any, Any, float]:
-    """Material of a wall, its colour as light and its opacity: glass where it is seen through, metal where it moves."""
+def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
+    """Material of a wall, its colour as light and its opacity: glass where it is seen through, metal where it moves,
+    `displayColor` where it is `painted`.
+    """
     from pxr import Gf, Sdf
 
     opacity = 1.0 if wall.moves or wall.colour[3] == 255 else max(CLEAR, wall.colour[3] / 255)
+    opacity = PAINT if painted else opacity
     colour = Gf.Vec3f(*map(float, linear(np.array(wall.colour[:3]))))
     material, surface = _material(stage, name)
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
+    if painted:
+        _by_display_colour(stage, surface, name)
+    else:
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
     surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(opacity)
     metal = wall.moves and wall.colour[3] == 255
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.8 if metal else 0.0)

@@ -13,7 +13,7 @@ from ..core.html import html_table
 from ..core.run import dataframe
 from ..core.units import quantity
 from ..mps.mixes import CONSTANTS
-from ..mps.theory import Concrete
+from ..theory.pipe import Concrete
 from .lines import Part, PipeLine, layered
 
 
@@ -46,6 +46,8 @@ class LineResult:
     """Wall time of each simulation that was run [s], by its folder's name."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Checks that simulations failed, and what they found, likewise."""
+    extremes: tuple[Concrete, Concrete] | None = None
+    """Concretes at the ends of the band, in place of a slip layer that is off by `layer_factor`."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -85,7 +87,7 @@ class LineResult:
         return self.pressure * self.flow
 
     def band(self) -> tuple[float, float]:
-        """Pressure with a slip layer that resists `layer_factor` times less and more [Pa].
+        """Pressure with a slip layer that resists `layer_factor` times less and more, or of the `extremes` [Pa].
 
         Friction changes as the closed form does.
         """
@@ -94,8 +96,16 @@ class LineResult:
 
     def ends(self) -> list[Callable[[Loss], float]]:
         """What a part loses at the two ends of the band [Pa]."""
-        others = [layered(self.concrete, factor) for factor in (1 / self.layer_factor, self.layer_factor)]
+        factors = (1 / self.layer_factor, self.layer_factor)
+        others = self.extremes or [layered(self.concrete, factor) for factor in factors]
         return [lambda x, c=c: x.friction * x.part.friction(c, self.flow) / x.theory + x.weight for c in others]
+
+    @property
+    def band_words(self) -> str:
+        """What is different at the ends of the band."""
+        if self.extremes is not None:
+            return "all constants at the lower and the upper ends of the mix's bands"
+        return f"a slip layer that resists {self.layer_factor:g} times less or more"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses.
@@ -133,7 +143,8 @@ class LineResult:
             "pressure_theory": quantity(self.theory, "Pa"),
             "pressure_low": quantity(low, "Pa"),
             "pressure_high": quantity(high, "Pa"),
-            "layer_factor": self.layer_factor,
+            "layer_factor": None if self.extremes else self.layer_factor,
+            "band": self.band_words,
             "power": quantity(self.power, "W"),
             "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
             "simulated": self.simulated,
@@ -157,8 +168,7 @@ def lines_of(result: LineResult) -> list[str]:
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
-        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with a slip layer that resists "
-        f"{result.layer_factor:g} times less or more",
+        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with {result.band_words}",
         f"- by theory, bends and reducers as straight pipe, {_bar(result.theory)}",
         f"- power into the concrete {result.power / 1e3:.3g} kW",
     ]
@@ -187,8 +197,8 @@ def draw(result: LineResult) -> Any:
     axes = figure.add_subplot()
     low, high = (result.course(of)[1] / 1e5 for of in result.ends())
     places, ours = result.course(lambda x: x.friction + x.weight)
-    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0,
-                      label=f"slip layer {result.layer_factor:g} times less, more")  # fmt: skip
+    words = "band of the mix" if result.extremes else f"slip layer {result.layer_factor:g} times less, more"
+    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label=words)
     if result.simulated:
         axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated")
     axes.plot(*_scaled(result.course(lambda x: x.theory + x.weight)), "k--", linewidth=1.0, label="theory")

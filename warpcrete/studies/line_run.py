@@ -14,10 +14,10 @@ from ..core.run_loop import Recorder
 from ..core.units import number
 from ..methods import Simulation
 from ..mps.mixes import CONSTANTS
-from ..mps.theory import Concrete
 from ..record.checks import CheckRecorder, failed_checks
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
+from ..theory.pipe import Concrete
 from .line_result import LineResult, Loss, draw, lines_of
 from .lines import Part, PipeLine
 
@@ -44,6 +44,7 @@ def run_line(
     simulate: bool = True,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
+    band: tuple[Concrete, Concrete] | None = None,
     device: str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -52,8 +53,10 @@ def run_line(
 
     Each kind of part is simulated once, without weight, `cells` across its bore: straight pipe as an endless one, bends
     and reducers between straight stretches, of which they get what the part loses beyond them; without `simulate` the
-    closed form stands for all. Runs go into the new folder `out`; of the same scene, those in `known`, the folder of an
-    earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or settings that make no scene.
+    closed form stands for all. The band of the pressure is that of a slip layer off by `layer_factor`, or of the two
+    concretes of `band`, which a mix has. Runs go into the new folder `out`; of the same scene, those in `known`, the
+    folder of an earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or settings that make
+    no scene.
     """
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
@@ -93,7 +96,7 @@ def run_line(
         theory = part.friction(concrete, flow)
         ours = theory if not simulate else found[part.alike] * (part.length if part.kind == "straight" else 1.0)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed)
+    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, band)
     if out is not None:
         _write(result, out)
     return result

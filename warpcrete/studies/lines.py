@@ -14,8 +14,8 @@ from ..core.amounts import amount
 from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from ..geometry.axis import Arc, Axis, Line
-from ..mps.theory import Concrete, steady
-from ..mps.theory import Line as Stretch
+from ..theory.pipe import Concrete, rested, steady
+from ..theory.pipe import Line as Stretch
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
@@ -110,6 +110,16 @@ class PipeLine:
         """[m]"""
         return sum(part.rise for part in self.parts)
 
+    def restart(self, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:
+        """Pressure at the pump [Pa] that sets all of it going after `rest` [s], by theory.
+
+        Its yield stresses have grown by `thixotropy` [Pa/s]. Without a `flow` [m3/s] it is that from which the line
+        moves; with one that at which it starts at that flow at once.
+        """
+        grown = rested(concrete, rest, thixotropy)
+        weight = concrete.density * Stretch().gravity * self.rise
+        return max(weight + sum(part.friction(grown, flow) for part in self.parts), 0.0)
+
     def remarks(self) -> list[str]:
         """What a reader should know of it."""
         found = []
@@ -167,16 +177,20 @@ def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
         axis=axis,
         flow=_above("flow", given["flow"], "m3/s") if "flow" in given else None,
         concrete=str(given["concrete"]) if "concrete" in given else None,
-        largest_stone=stone,
         source=str(given.get("source", "")),
         recorded=_above("recorded", given["recorded"], "Pa") if "recorded" in given else None,
     )
+    _check_crossing(line)
+    return with_stone(line, stone)
+
+
+def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
+    """The line of a concrete whose largest stone [m] is known. Raises :class:`SceneError` where it does not pass."""
     for part in line.parts:
         if stone is not None and stone >= min(part.diameter, part.outlet):
             refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
                    f"{min(part.diameter, part.outlet):g} m", "take a wider pipe or a smaller stone")  # fmt: skip
-    _check_crossing(line)
-    return line
+    return replace(line, largest_stone=stone)
 
 
 def _above(field: str, given: Any, unit: str) -> float:

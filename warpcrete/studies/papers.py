@@ -108,8 +108,13 @@ UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
            "bend-to-vertical": (38.58e3, None)}  # fmt: skip
 """Largest pressure and that at the end, of the units [Pa]."""
+PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
+"""Travel of the piston at the largest pressure [m]."""
 PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
 """Metres up and along, the paper's prediction and what was recorded [Pa]."""
+
+UNITS_ROW = "units"
+"""Name by which the four units are chosen."""
 
 CONCRETES: dict[str, dict[str, Any]] = {
     "literal": {"concrete": "zhan-table1"},
@@ -118,6 +123,20 @@ CONCRETES: dict[str, dict[str, Any]] = {
 }
 """The paper's Table 1; with layer and friction of the wall calibrated on A and B; the same with stones of 1e7 Pa,
 loosely packed, for which the layer is another (and the friction the same)."""
+
+OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
+    "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
+        "packed to a solid fraction of 0.70, which the reference mix has at the plug's pressure, whatever the pipe, "
+        "sizes and shapes"),
+    "yielding layer": ({"layer_viscosity": 0.0, "layer_yield": 357.0}, ("units", "velocity"),
+        "the layer's stress at 0.3 m/s at any speed, as a yield stress of 357 Pa"),
+    "half yielding layer": ({"layer_viscosity": 595.0, "layer_yield": 178.5}, ("units", "velocity"),
+        "the same stress at 0.3 m/s, half of it a yield stress"),
+    "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets for the exact one"),
+    "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls for two (six in bends)"),
+}  # fmt: skip
+"""What the paper does not say, by name: parameters beside those of the calibrated concrete, which rows are run with
+them, and in words. Nothing is fitted again: A and B may move."""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """What --quick runs instead of clumps of 5 to 20 mm."""
 
@@ -129,6 +148,16 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
     if row.parameter == "size_max":
         case["size_min"] = SMALLEST[value]
     return case
+
+
+def overrides(name: str) -> dict[str, Any]:
+    """Parameters of a column of the report: a concrete, or the calibrated one with something open varied."""
+    return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN[name][0]}
+
+
+def rows_of(name: str) -> tuple[str, ...]:
+    """Names of what a column is run with."""
+    return OPEN[name][1] if name in OPEN else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
 XU_CONCRETES = ("no1", "no2", "no3")

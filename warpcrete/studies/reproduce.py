@@ -6,19 +6,23 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import one_of, refuse
+from ..core.errors import RunFolderError, one_of, refuse
 from ..core.files import check_new, read_json, write_json
 from ..scenes import modules
 from .cases import Case
-from .papers import CONCRETES, UNITS, ZHAN, xu_cases, zhan_case
+from .papers import CONCRETES, OPEN, UNITS, UNITS_ROW, ZHAN, overrides, rows_of, xu_cases, zhan_case
 from .reproduction import Reproduction, key_of, unit_case
 from .reproduction_report import write
 from .study import Study, resume_study, run_listed
 
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
+KNOWN = "known.json"
+"""Results that were taken from earlier reproductions."""
 QUICK = ("literal", "calibrated")
 """Concretes that a quick reproduction runs."""
+HYDRATED = ("calibrated", "literal")
+"""Concretes whose hydrated bonds are run unless others are named; with stiff stones all takes ten times the steps."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -28,21 +32,32 @@ def reproduce(
     out: Path,
     quick: bool = False,
     seeds: int = 1,
+    only: Sequence[str] = (),
+    known: Sequence[Path] = (),
     device: str | None = None,
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Reproduction:
     """Run what a paper ran, `zhan` (discrete elements) or `xu` (flows), into the new folder `out`.
 
-    `quick` takes coarse spheres for clumps and fewer cases; every case of elements has so many `seeds`. Raises
-    :class:`SceneError` for an unknown paper.
+    `quick` takes coarse spheres for clumps and fewer cases; every case of elements has so many `seeds`. `only` names
+    columns (concretes, and what the paper leaves open) and rows (units, parameters) of Zhan et al. to which the runs
+    are limited; results in `known`, folders of earlier reproductions, are taken. Raises :class:`SceneError` for what is
+    none of these, and :class:`RunFolderError` for a folder without results.
     """
     one_of("paper", paper, PAPERS)
     if seeds < 1:
         refuse("seeds", seeds, "must be 1 or more")
+    columns, rows = chosen(paper, only)
+    taken: dict[str, dict[str, Any]] = {"results": {}, "failures": {}}
+    for folder in known:
+        for kind, found in _results(folder, paper, quick).items():
+            taken[kind] |= found
     check_new(out)
     out.mkdir(parents=True)
-    write_json(out / RECORD, {"paper": paper, "quick": quick, "seeds": seeds, "device": device})
+    write_json(out / KNOWN, taken)
+    record = {"paper": paper, "quick": quick, "seeds": seeds, "device": device, "columns": columns, "rows": rows}
+    write_json(out / RECORD, record)
     return resume_reproduction(out, processes=processes, progress=progress)
 
 
@@ -51,7 +66,11 @@ def resume_reproduction(
 ) -> Reproduction:
     """Go on with a reproduction: runs that are finished are used."""
     record = read_json(folder / RECORD)
-    found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"])
+    found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
+                         tuple(record["columns"]), tuple(record["rows"]))  # fmt: skip
+    known = read_json(folder / KNOWN)
+    found.results |= known["results"]
+    found.failures |= known["failures"]
     studies = zhan_studies(found) if found.paper == "zhan" else xu_studies(found)
     tell = progress or (lambda phase, fraction, figures: None)
     try:
@@ -73,25 +92,55 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
     return hear
 
 
-def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Group, scene and parameters of what is run of Zhan et al. 2019; the dearest last.
+def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Columns and rows of Zhan et al. among names; none of a kind: all of it."""
+    columns, rows = [*CONCRETES, *OPEN], [UNITS_ROW, *(row.name for row in ZHAN)]
+    if only and paper != "zhan":
+        refuse("only", list(only), "is for zhan, whose cases are many", "leave it out")
+    for name in only:
+        one_of("only", name, [*columns, *rows])
+    columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
+    if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
+        refuse("only", list(only), "leaves nothing to run",
+               f"{columns[0]} is run with {', '.join(rows_of(columns[0]))}")  # fmt: skip
+    return columns, rows
 
-    Hydrated bonds are not run with stiff stones, whose steps are as short without.
-    """
-    names = QUICK if found.quick else tuple(CONCRETES)
+
+def _results(folder: Path, paper: str, quick: bool) -> dict[str, dict[str, Any]]:
+    """Results and failures of an earlier reproduction of the same kind."""
+    if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
+        raise RunFolderError(f"known = '{folder}': holds no results of a reproduction")
+    record = read_json(folder / RECORD)
+    if (record.get("paper"), record.get("quick")) != (paper, quick):
+        refuse("known", str(folder), f"is of {record.get('paper')}{', quick' if record.get('quick') else ''}",
+               f"take one of {paper}{', quick' if quick else ''}")  # fmt: skip
+    return read_json(folder / "results.json")
+
+
+def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
+    """Group, scene and parameters of what is run of Zhan et al. 2019; the dearest last."""
+    names = found.columns or (QUICK if found.quick else (*CONCRETES, *OPEN))
     studies = [(name, _cases(found, name, hydrated=False)) for name in names]
-    if not found.quick:
-        studies += [(f"{name}, hydrated", _cases(found, name, hydrated=True)) for name in reversed(QUICK)]
-    return [(group, "pipe", cases) for group, cases in studies]
+    hydrated = [name for name in HYDRATED if name in names and not found.quick]
+    if found.columns and found.rows:  # asked for by name
+        hydrated = [name for name in names if name in CONCRETES]
+    studies += [(f"{name}, hydrated", _cases(found, name, hydrated=True)) for name in hydrated]
+    return [(group, "pipe", cases) for group, cases in studies if cases]
 
 
 def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
-    """Of one concrete with all seeds: the parameters that have to do with hydration, or the others and the units."""
-    units = [] if hydrated else [unit_case(unit, found.quick) for unit in UNITS]
+    """Of one column with all seeds what is not known: parameters that have to do with hydration, or the others and the
+    units."""
+    asked = [each for each in rows_of(name) if each in (found.rows or rows_of(name))]
+    units = [unit_case(unit, found.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
     # Small stones are what makes a run long: a quick reproduction goes without sizes.
-    rows = [row for row in ZHAN if row.is_hydrated == hydrated and not (found.quick and row.parameter == "size_max")]
+    rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
+            and not (found.quick and row.parameter == "size_max")]  # fmt: skip
     cases = units + [zhan_case(row, value, found.quick) for row in rows for value in row.values]
-    return _once([{**case, **CONCRETES[name], "seed": seed} for case in cases for seed in range(found.seeds)])
+    each = [{**case, **overrides(name), "seed": seed} for case in cases for seed in range(found.seeds)]
+    group = f"{name}, hydrated" if hydrated else name
+    done = {*found.results, *found.failures}
+    return _once([case for case in each if key_of(group, case) not in done])
 
 
 def xu_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:

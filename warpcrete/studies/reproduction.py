@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.units import number
-from .papers import CONCRETES, OF_ALL, UNITS, Row, zhan_case
+from .papers import OF_ALL, UNITS, Row, overrides, zhan_case
 
 
 @dataclass(repr=False)
@@ -23,6 +23,10 @@ class Reproduction:
     quick: bool
     seeds: int
     device: str | None
+    columns: tuple[str, ...] = ()
+    """Concretes, and what is open, that are run; none: all."""
+    rows: tuple[str, ...] = ()
+    """What is run with each; none: all."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """result.json of runs by :func:`key_of` their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
@@ -57,11 +61,16 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
     return zhan_case(Row("unit", "unit", UNITS, "", lambda values, pressures: (True, "")), unit, quick)
 
 
+def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
+    """Largest pressures [Pa] of a row with a column's concrete, of all seeds that ran, by the row's values."""
+    group = f"{name}, hydrated" if row.is_hydrated else name
+    return [found.values(group, {**zhan_case(row, value, found.quick), **overrides(name)}, "peak_pressure")
+            for value in row.values]  # fmt: skip
+
+
 def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
     """Largest pressures of a row [Pa], NaN where a run failed, and a verdict in words; none where it was not run."""
-    group = f"{name}, hydrated" if row.is_hydrated else name
-    means = [found.mean(group, {**zhan_case(row, value, found.quick), **CONCRETES[name]}, "peak_pressure")
-             for value in row.values]  # fmt: skip
+    means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
     there = [k for k, mean in enumerate(means) if math.isfinite(mean)]
     if not there:
         return means, ""

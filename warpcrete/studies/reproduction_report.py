@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..core.files import whole_file, write_json
 from ..core.units import number
-from .papers import CONCRETES, PIPELINES, PRINTED, UNITS, XU_PRINTED, ZHAN, Row, xu_cases
-from .reproduction import Reproduction, judged, key_of, unit_case
+from .papers import (
+    CONCRETES,
+    OPEN,
+    PIPELINES,
+    PRINTED,
+    PRINTED_TRAVEL,
+    UNITS,
+    XU_PRINTED,
+    ZHAN,
+    Row,
+    overrides,
+    xu_cases,
+)
+from .reproduction import Reproduction, judged, key_of, pressures, unit_case
 
 WHAT = {
     "literal": "Table 1 as it is printed",
@@ -48,9 +60,10 @@ def _plain(result: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def ran(found: Reproduction) -> list[str]:
-    """Concretes of which there are runs."""
-    return [name for name in CONCRETES if any(key.startswith(f"{name}: ") for key in found.results)]
+def ran(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
+    """Columns, concretes or what is open, of which there are runs."""
+    return [name for name in names
+            if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
 
 
 def _zhan(found: Reproduction) -> Iterator[str]:
@@ -63,18 +76,9 @@ def _zhan(found: Reproduction) -> Iterator[str]:
     for name in ran(found):
         yield f"- **{name}**: {WHAT[name]}."
     yield ""
-    yield "## Units: largest pressure and pressure at the end [kPa]"
-    yield ""
-    yield "| unit | paper | " + " | ".join(ran(found)) + " |"
-    yield "|---|---|" + "---|" * len(ran(found))
-    for letter, unit in zip("ABCD", UNITS):
-        cells = []
-        for name in ran(found):
-            case = {**unit_case(unit, found.quick), **CONCRETES[name]}
-            cells.append(_pair(*(found.values(name, case, q) for q in ("peak_pressure", "end_pressure"))))
-        yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
-    yield ""
+    yield from _units(found)
     yield from _pipelines(found)
+    yield from _open(found)
     yield "## Parameters, on unit D: largest pressure [kPa]"
     for row in ZHAN:
         yield from _row(found, row)
@@ -86,12 +90,55 @@ def _zhan(found: Reproduction) -> Iterator[str]:
             yield f"- {key}: {why}"
 
 
+def _of_unit(found: Reproduction, name: str, unit: str, quantity: str) -> list[float]:
+    return found.values(name, {**unit_case(unit, found.quick), **overrides(name)}, quantity)
+
+
+def _units(found: Reproduction) -> Iterator[str]:
+    yield "## Units: largest pressure and pressure at the end [kPa]"
+    yield ""
+    yield "| unit | paper | " + " | ".join(ran(found)) + " |"
+    yield "|---|---|" + "---|" * len(ran(found))
+    for letter, unit in zip("ABCD", UNITS):
+        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+                 for name in ran(found)]  # fmt: skip
+        yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
+    for letter, unit in zip("AB", UNITS):
+        cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in ran(found)]
+        yield f"| {letter}, largest at [m] | {PRINTED_TRAVEL[unit]:.2f} | " + " | ".join(cells) + " |"
+    yield ""
+
+
+def _open(found: Reproduction) -> Iterator[str]:
+    """What the paper does not say, varied."""
+    names = ran(found, OPEN)
+    if not names:
+        return
+    yield "## What the paper leaves open: units, with the calibrated concrete and nothing fitted again"
+    yield ""
+    for name in names:
+        yield f"- **{name}**: {OPEN[name][2]}."
+    yield ""
+    yield "| | " + " | ".join("ABCD") + " | largest of A at [m] | of B |"
+    yield "|---|---|---|---|---|---|---|"
+    for name in [*(["calibrated"] if "calibrated" in ran(found) else []), *names]:
+        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+                 for unit in UNITS]  # fmt: skip
+        cells += [_metres(_of_unit(found, name, unit, "peak_travel")) for unit in UNITS[:2]]
+        yield f"| {name} | " + " | ".join(cells) + " |"
+    yield ""
+
+
 def _printed(peak: float | None, end: float | None) -> str:
     return f"{_kpa(peak)} / {_kpa(end)}"
 
 
 def _kpa(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value / 1e3:.1f}"
+
+
+def _metres(values: list[float]) -> str:
+    return f"{np.mean(values):.2f}" if values else "-"
 
 
 def _pair(peaks: list[float], ends: list[float]) -> str:
@@ -115,7 +162,7 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
     for place, (up, along, paper, recorded) in PIPELINES.items():
         cells = []
         for name in ran(found):
-            a, b = (found.mean(name, {**unit_case(unit, found.quick), **CONCRETES[name]}, "end_pressure")
+            a, b = (found.mean(name, {**unit_case(unit, found.quick), **overrides(name)}, "end_pressure")
                     for unit in UNITS[:2])  # fmt: skip
             cells.append(f"{(up * a + along * b) / 1e6:.1f}" if math.isfinite(a + b) else "-")
         yield f"| {place} | {recorded / 1e6:.1f} | {paper / 1e6:.2f} | " + " | ".join(cells) + " |"
@@ -123,7 +170,7 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
 
 
 def _row(found: Reproduction, row: Row) -> Iterator[str]:
-    done = [(name, *judged(found, row, name)) for name in ran(found)]
+    done = [(name, *judged(found, row, name)) for name in ran(found, [*CONCRETES, *OPEN])]
     done = [(name, means, verdict) for name, means, verdict in done if any(map(math.isfinite, means))]
     yield ""
     yield f"**{row.name[0].upper()}{row.name[1:]}.** The paper: {row.claim}."
@@ -135,8 +182,8 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
     yield "|---|" + "---|" * len(row.places)
     if row.printed:
         yield "| paper | " + " | ".join(_kpa(row.printed.get(value)) for value in row.values) + " |"
-    for name, means, _ in done:
-        yield f"| {name} | " + " | ".join(map(_kpa, means)) + " |"
+    for name, *_ in done:
+        yield f"| {name} | " + " | ".join(map(_with_scatter, pressures(found, row, name))) + " |"
     yield ""
     for name, _, verdict in done:
         yield f"- {name}: {verdict}."
@@ -157,10 +204,13 @@ def draw(found: Reproduction) -> Any:
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     panels = figure.subplots(2, 4).ravel()
     for row, axes in zip(ZHAN, panels):
-        for name in ran(found):
-            means, _ = judged(found, row, name)
-            if any(map(math.isfinite, means)):
-                axes.plot(row.places, np.array(means) / 1e3, "o-", ms=4, label=name)
+        for number_of, name in enumerate([*CONCRETES, *OPEN]):
+            each = pressures(found, row, name)
+            means = np.array([np.mean(values) if values else np.nan for values in each]) / 1e3
+            scatter = np.array([np.std(values, ddof=1) if len(values) > 1 else 0.0 for values in each]) / 1e3
+            if np.any(np.isfinite(means)):
+                axes.errorbar(row.places, means, yerr=scatter, fmt="o-" if name in CONCRETES else "s--", ms=4,
+                              capsize=3, color=f"C{number_of}", label=name)  # fmt: skip
         if row.printed:
             axes.plot(list(row.printed), [value / 1e3 for value in row.printed.values()], "kx", ms=8, label="paper")
         if row.parameter == "hydration_modulus":
@@ -168,9 +218,10 @@ def draw(found: Reproduction) -> Any:
         axes.set(title=row.claim, xlabel=row.parameter, ylabel="largest pressure [kPa]")
         axes.title.set_fontsize(8)
         axes.set_ylim(bottom=0)
-    panels[0].legend(fontsize=8)
+    lines = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
     for axes in panels[len(ZHAN) :]:
-        axes.set_visible(False)
+        axes.set_axis_off()
+    panels[-1].legend(lines.values(), lines.keys(), fontsize=9, loc="center")
     return figure
 
 

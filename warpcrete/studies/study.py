@@ -77,7 +77,13 @@ class Study:
     def compared(self) -> list[Quantity]:
         """Quantities that some case came to; all of them before there is one."""
         results = self.results.values()
-        return [each for each in self.quantities if not results or any(each.name in result for result in results)]
+
+        def met(each: Quantity) -> bool:
+            if each.rare:
+                return any(number(result.get(each.name, 0.0)) > 0 for result in results)
+            return not results or any(each.name in result for result in results)
+
+        return [each for each in self.quantities if met(each)]
 
     @property
     def varied(self) -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 from ..core.errors import ConvergenceError, InstabilityError, SceneError
 from ..mps.scene import Aggregates, FluidScene
 from ..mps.simulation import FluidSimulation
-from ..mps.theory import CONCRETES, Concrete
+from ..theory.pipe import CONCRETES, Concrete
 
 FEW, STEPS, LONG = 10, 100, 2000
 SAMPLES = 20

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..mps.column import FlowParameters, column_scene
 from ..mps.simulation import FluidSimulation
-from ..mps.theory import CONCRETES
+from ..theory.pipe import CONCRETES
 from .case import Case, Row
 
 # Measured errors at 5 mm in the channel: pressure 0.0 to 0.1 %, slip velocity 0.03 to 0.1 %, profile 0.1 %; at 10 mm in

@@ -7,9 +7,9 @@ import numpy as np
 from ..mps.free.probes import surface
 from ..mps.free.scene import FreeScene
 from ..mps.free.simulation import FreeSimulation
-from ..mps.free.theory import heap_at_rest, heap_depth, viscous_front
 from ..mps.grid.state import STICKS
-from ..mps.theory import Concrete
+from ..theory.pipe import Concrete
+from ..theory.vessels import heap_at_rest, heap_depth, viscous_front
 from .case import Case, Row
 
 HALF = 0.2, 0.05

@@ -12,7 +12,7 @@ from ..mps.grid.flow import GridFlow
 from ..mps.grid.layout import pipe_layout
 from ..mps.grid.state import GridState
 from ..mps.scene import FluidScene
-from ..mps.theory import Concrete
+from ..theory.pipe import Concrete
 from .case import Case, Row
 
 FINER = 4

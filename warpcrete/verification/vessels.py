@@ -17,7 +17,7 @@ from ..mps.grid.flow import GridFlow
 from ..mps.grid.geometry import BARE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall, wall_distance
 from ..mps.grid.layout import GridLayout, Motion
 from ..mps.grid.state import STICKS, GridState
-from ..mps.theory import Concrete
+from ..theory.pipe import Concrete
 from .case import Case, Row
 
 PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=STICKS, slip_yield=0.0)

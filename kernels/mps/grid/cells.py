@@ -60,6 +60,8 @@ class Kind(NamedTuple):
     """Goes on below as it ends above, and is full; else there is a free surface."""
     cut: bool = False
     """Walls pass through cells."""
+    thixotropic: bool = False
+    """Concrete of a periodic pipe has gained structure that flow breaks."""
 
     @property
     def pairs(self) -> int:
@@ -150,6 +152,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         )  # shear stress at a pipe's corner in the step before, or of its wall [Pa], (slots,)
         strain: wp.array(dtype=scalar)  # square of a cell's rate of shear [1/s2], shape (slots,)
         besides: wp.array(dtype=scalar)  # square of a cell's rate of shear without that of the pair [1/s2]
+        gained: wp.array(dtype=scalar)  # by a cell's yield stress at rest [Pa], shape (slots,), or none
+        layer: wp.array(dtype=scalar)  # likewise by a wall's along a face, shape (axes * slots,), or none
         drive: wp.array(dtype=wp.float64)  # of a periodic pipe, slots above, shape (DRIVE,)
         clock: wp.array(dtype=wp.float64)  # slots above, shape (CLOCK,)
 

@@ -13,9 +13,37 @@ from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
 from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
+from .structure import grown_function
 
 STIFFENING = wp.constant(2.0)
 """Of a viscosity's way in logarithms, under a free surface, what a step goes where concrete stays below yielding."""
+
+
+@functools.cache
+def relaxing_function(scalar, of: Kind):
+    """`relaxed`: a viscosity on its way from that of the step before to that of the rate now."""
+    Cells = cells_struct(scalar, of.dimensions)
+    law = bingham_functions(scalar, of.dimensions)
+
+    @wp.func
+    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
+        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
+
+        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
+        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
+        yields goes the whole way.
+        """
+        if before > scalar(0.0):
+            if wp.static(not of.periodic):
+                if now > before and before * rate < g.yield_stress:
+                    ahead = wp.pow(now / before, scalar(STIFFENING))
+                    return wp.min(before * ahead, law.unyielded(g))
+                if now < before:
+                    return now
+            return wp.sqrt(before * now)
+        return now
+
+    return relaxed
 
 
 @functools.cache
@@ -28,6 +56,8 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, dims)
+    relaxed = relaxing_function(scalar, of)
+    grown = grown_function(scalar, dims)
 
     @wp.func
     def first(pair: wp.int32) -> wp.int32:
@@ -47,24 +77,6 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             after, before = f.at(g, f.moved(beside, axis, 1)), f.at(g, f.moved(beside, axis, -1))
             sum += wp.where(n == 1, scalar(0.5), scalar(0.25)) * (mesh.stress[after] - mesh.stress[before])
         return scalar(0.5) * wp.abs(sum)
-
-    @wp.func
-    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
-        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
-
-        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
-        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
-        yields goes the whole way.
-        """
-        if before > scalar(0.0):
-            if wp.static(not of.periodic):
-                if now > before and before * rate < g.yield_stress:
-                    ahead = wp.pow(now / before, scalar(STIFFENING))
-                    return wp.min(before * ahead, law.unyielded(g))
-                if now < before:
-                    return now
-            return wp.sqrt(before * now)
-        return now
 
     @wp.func
     def around(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
@@ -100,7 +112,10 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             mesh.besides[number + 2 * g.slots] = square + first_pair + second_pair
             square += first_pair + second_pair + third
         mesh.strain[number] = square
-        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(g, wp.sqrt(square)), wp.sqrt(square))
+        own = g
+        if wp.static(of.thixotropic):
+            own = grown(g, mesh.gained[number])
+        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(own, wp.sqrt(square)), wp.sqrt(square))
 
     @wp.kernel(enable_backward=False, module="unique")
     def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
@@ -116,17 +131,23 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             if volume > scalar(0.0):
                 sum = scalar(0.0)
                 count = scalar(0.0)
+                gained = scalar(0.0)
                 for n in range(4):
                     o = f.at(g, f.moved(f.moved(c, first(pair), -(n % 2)), second(pair), -(n / 2)))
                     if mesh.liquid[o] != 0:
                         sum += mesh.besides[o + pair * g.slots]
+                        if wp.static(of.thixotropic):
+                            gained += mesh.gained[o]
                         count += scalar(1.0)
+                own = g
+                if wp.static(of.thixotropic):
+                    own = grown(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
                 # Beside a free surface stress varies both ways, and by what particles happen to do.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
-                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(g, total, most), total)
+                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(own, total, most), total)
 
     return SimpleNamespace(rates=rates, viscosity=viscosity)
 

@@ -16,6 +16,7 @@ from .cells import (
     grid_functions,
     grid_structs,
 )
+from .structure import grown_function
 
 STICKY = wp.constant(20.0)
 """What holds concrete on a wall that it does not slip on, over what its shear across a cell does."""
@@ -29,6 +30,7 @@ def side_kernel(scalar, of: Kind):
     Mesh, Walls = structs.Mesh, structs.Walls
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, 2)
+    grown = grown_function(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
     def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh):
@@ -69,10 +71,14 @@ def side_kernel(scalar, of: Kind):
                                     ring -= outer * width / (scalar(6.0) * radius - outer * scalar(3.0) * width)
                             beyond = f.at(g, f.moved(c, 1 - axis, 1 - side))
                             inner = wp.max(turn * mesh.stress[beyond], scalar(0.0))
+                            own = g
+                            slip_yield = walls.slip_yield[wall]
+                            if wp.static(of.thixotropic):
+                                own = grown(g, mesh.gained[number])
+                                slip_yield += mesh.layer[r]
                             stress, growth, slip = law.at_wall(
-                                g, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall],
-                                walls.slip_yield[wall],
-                            )  # fmt: skip
+                                own, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall], slip_yield
+                            )
                             mesh.rubbed[r] = g.width[axis] * f.side_weight(g, at_wall)
                             mesh.traction[r] = way * stress
                             mesh.growth[r] = growth

@@ -8,6 +8,7 @@ from .hertz_mindlin import HertzMindlin
 from .linear import Contact
 from .lubrication import LubricationLayer
 from .mortar import BinghamMortar
+from .plastic import PlasticMortar
 from .rolling import RollingResistance
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "ContactLaw",
     "HertzMindlin",
     "LubricationLayer",
+    "PlasticMortar",
     "RollingResistance",
     "damping_ratio",
 ]

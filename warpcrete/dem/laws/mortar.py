@@ -12,6 +12,7 @@ spheres roll on each other and off each other.
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
@@ -65,31 +66,11 @@ class BinghamMortar(ContactLaw):
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
         t = types(scalar)
         f = contact_functions(scalar)
-        Touch = f.Touch
-        shear_spring, plane_spring, spring_energy = f.shear_spring, f.plane_spring, f.spring_energy
+        Touch, shear_spring = f.Touch, f.shear_spring
+        shells = shell_functions(scalar, parameters)
+        area, shell_stiffness, shell_drag = shells.area, shells.shell_stiffness, shells.shell_drag
+        bending, core_overlap = shells.bending, shells.core_overlap
         Parameters = parameters
-
-        @wp.func
-        def area(touch: Touch):
-            return scalar(wp.static(float(np.pi))) * touch.smaller_radius * touch.smaller_radius
-
-        @wp.func
-        def shell_stiffness(p: Parameters, touch: Touch):
-            return p.shell_modulus * area(touch) / (p.shell_fraction * touch.length)
-
-        @wp.func
-        def shell_drag(p: Parameters, touch: Touch):
-            return p.plastic_viscosity * area(touch) / (p.shell_fraction * touch.length)
-
-        @wp.func
-        def bending(p: Parameters, touch: Touch):
-            """Spring [N m/rad] and dashpot [N m s/rad] of a disc that is bent."""
-            square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
-            return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
-
-        @wp.func
-        def core_overlap(p: Parameters, touch: Touch):
-            return wp.max(-touch.gap - p.shell_fraction * touch.length, scalar(0.0))
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
@@ -143,25 +124,61 @@ class BinghamMortar(ContactLaw):
             total = shear + drag * vs - (spring - cn * vn) * n
             return total, shear, lost + (cn * vn * vn + drag * wp.length_sq(vs)) * dt
 
-        @wp.func
-        def moment(p: Parameters, touch: Touch, turning: t.vec3, history: t.vec3, dt: scalar):
-            zero = scalar(0.0)
-            total = zero * history
-            held = zero * history
-            lost = zero
-            if p.bending > zero and touch.gap < zero:
-                kr, cr = bending(p, touch)
-                limit = p.bending * p.yield_stress * area(touch) * touch.smaller_radius
-                rate = turning - wp.dot(turning, touch.normal) * touch.normal
-                held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
-                total = held + cr * rate
-                lost += cr * wp.length_sq(rate) * dt
-            return total, held, lost
+        return {"force": force, "stiffness": stiffness, "energy": energy, "moment": shells.moment,
+                "moment_energy": shells.moment_energy}  # fmt: skip
 
-        @wp.func
-        def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
+
+def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
+    """Of laws with shells, whose parameters are like :class:`BinghamMortar`'s: `area`, `shell_stiffness`, `shell_drag`,
+    `bending`, `core_overlap`, `moment`, `moment_energy`."""
+    t = types(scalar)
+    f = contact_functions(scalar)
+    Touch, plane_spring, spring_energy = f.Touch, f.plane_spring, f.spring_energy
+    Parameters = parameters
+
+    @wp.func
+    def area(touch: Touch):
+        return scalar(wp.static(float(np.pi))) * touch.smaller_radius * touch.smaller_radius
+
+    @wp.func
+    def shell_stiffness(p: Parameters, touch: Touch):
+        return p.shell_modulus * area(touch) / (p.shell_fraction * touch.length)
+
+    @wp.func
+    def shell_drag(p: Parameters, touch: Touch):
+        return p.plastic_viscosity * area(touch) / (p.shell_fraction * touch.length)
+
+    @wp.func
+    def bending(p: Parameters, touch: Touch):
+        """Spring [N m/rad] and dashpot [N m s/rad] of a disc that is bent."""
+        square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
+        return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
+
+    @wp.func
+    def core_overlap(p: Parameters, touch: Touch):
+        return wp.max(-touch.gap - p.shell_fraction * touch.length, scalar(0.0))
+
+    @wp.func
+    def moment(p: Parameters, touch: Touch, turning: t.vec3, history: t.vec3, dt: scalar):
+        zero = scalar(0.0)
+        total = zero * history
+        held = zero * history
+        lost = zero
+        if p.bending > zero and touch.gap < zero:
             kr, cr = bending(p, touch)
-            return spring_energy(history, kr)
+            limit = p.bending * p.yield_stress * area(touch) * touch.smaller_radius
+            rate = turning - wp.dot(turning, touch.normal) * touch.normal
+            held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
+            total = held + cr * rate
+            lost += cr * wp.length_sq(rate) * dt
+        return total, held, lost
 
-        return {"force": force, "stiffness": stiffness, "energy": energy, "moment": moment,
-                "moment_energy": moment_energy}  # fmt: skip
+    @wp.func
+    def moment_energy(p: Parameters, touch: Touch, history: t.vec3):
+        kr, cr = bending(p, touch)
+        return spring_energy(history, kr)
+
+    return SimpleNamespace(
+        area=area, shell_stiffness=shell_stiffness, shell_drag=shell_drag, bending=bending, core_overlap=core_overlap,
+        moment=moment, moment_energy=moment_energy,
+    )  # fmt: skip

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...core.run_loop import Run
 from ...core.units import number
+from ...theory.vessels import heap_depth
 from .scene import FreeScene
-from .theory import heap_depth
 
 
 def plot_free(run: Run) -> Any:

@@ -11,8 +11,8 @@ import numpy as np
 from ...core.method import Quantity
 from ...core.run_loop import Run
 from ...core.units import number
+from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 from .scene import FreeScene
-from .theory import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 
 T500 = 0.5
 """Spread whose time is told [m] (EN 12350-8)."""

@@ -14,11 +14,11 @@ from ...core.errors import between, one_of, positive, refuse
 from ...core.html import Parametrised
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
+from ...theory.pipe import Concrete
 from ..column import ConcreteParameters
 from ..grid.geometry import BARE, MIRROR, WALL
 from ..mixes import CONSTANTS, concrete_of
 from ..scene import STEP_ERROR, check_interval
-from ..theory import Concrete
 
 TESTS = ("slump", "funnel", "lbox", "none")
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))

@@ -29,6 +29,7 @@ from ...kernels.mps.grid.filling import fill_kernel
 from ...kernels.mps.grid.forces import momentum_kernel, viscosity_kernels
 from ...kernels.mps.grid.pace import Pace, clock_kernels, speed_kernels
 from ...kernels.mps.grid.pressure import crowd_kernels, drive_kernels, pressure_kernels
+from ...kernels.mps.grid.structure import break_kernel
 from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_kernel
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
@@ -272,10 +273,21 @@ class GridFlow(Stepping):
             self.stage(pressure.project, slots),
             *(self._drive() if layout.periodic and layout.held else []),
             *(self._speeds() if self.adaptive else []),
+            *(self._broken() if kind.thixotropic else []),
             *([] if self.full else self._disperse()),
             *self._extend(extend_kernel(scalar, kind)),
             self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
             self.stage(self._clock.tick, 1),
+        ]  # fmt: skip
+
+    def _broken(self) -> list[Stage]:
+        """What flow leaves of the structure."""
+        scene = self.scene
+        return [
+            self.stage(
+                break_kernel(self.scalar, self.state.layout.kind), self.state.slots, breakdown=scene.breakdown,
+                breakdown_strain=scene.breakdown_strain,
+            )
         ]  # fmt: skip
 
     @property

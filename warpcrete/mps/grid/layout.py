@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...kernels.mps.grid.cells import Kind
+from ...theory.pipe import steady
 from ..scene import FluidScene
-from ..theory import steady
 from .geometry import BARE, MIRROR, PLATE, SMOOTH, STICKS, WALL, Geometry, Room
 
 ABREAST = 2
@@ -60,6 +60,8 @@ class GridLayout:
     """Of walls with the numbers after ROUGH."""
     inlet: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Places at which particles come in again that have left, shape (n, axes) [m]; none: they are gone for good."""
+    gained: float = 0.0
+    """By yield stresses of bulk and slip layer, at rest before the start [Pa]."""
     inflow: tuple[float, ...] | None = None
     """Their velocity then [m/s]."""
 
@@ -149,7 +151,8 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
     fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
     concrete = scene.concrete
     return GridLayout(
-        kind=Kind(axial=axial, periodic=True),
+        kind=Kind(axial=axial, periodic=True, thixotropic=scene.gained > 0),
+        gained=scene.gained,
         room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (BARE, BARE))),
         solid=solid,
         fluid=fluid,

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from ...kernels.mps.grid.cells import ACTED, FORCE, LIQUID
+from ...theory.pipe import velocity
 from ..probes import Snapshot, section, window
 from ..scene import FluidScene
-from ..theory import velocity
 from .flow import GridFlow
 from .layout import GridLayout
 
@@ -63,7 +63,16 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
         "momentum": momentum,
         "viscosity_iterations": outcomes["viscosity"]["iterations"],
         "pressure_iterations": outcomes["pressure"]["iterations"],
+        **_structure(flow, beside),
     }
+
+
+def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
+    """Means of what the layer and the concrete beside it still have of what they gained at rest [Pa]."""
+    if not flow.state.layout.kind.thixotropic:
+        return {}
+    layer, bulk = flow.state.faces("layer")[1], flow.state.faces("gained")[0]
+    return {"layer_gained": float(layer[1:-1, beside].mean()), "bulk_gained": float(bulk[1:-1, beside].mean())}
 
 
 def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:

@@ -18,6 +18,8 @@ from .layout import GridLayout
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
 """What the next step depends on."""
+STRUCTURE = ("gained", "layer")
+"""Besides, where concrete has gained some at rest."""
 FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
 """Arrays that have a row for each face; those of EDGES one for each edge, of LISTS one for each particle, the rest
 one for each cell."""
@@ -52,6 +54,7 @@ class GridState:
 
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
+        self.mesh_arrays = MESH_ARRAYS
         self.shape, self.count = layout.shape, len(layout.fluid)
         self.slots = int(np.prod(self.shape))
         self.structs = grid_structs(self.scalar, layout.axes)
@@ -72,9 +75,19 @@ class GridState:
             full[inner] = layout.solid[inner] == NONE
         full = full.ravel()
         own = {
-            "solid": layout.solid.ravel(), "drive": drive, "clock": clock, "fill": full, "liquid": full,
+            "solid": layout.solid.ravel(),
+            "drive": drive,
+            "clock": clock,
+            "fill": full,
+            "liquid": full,
             "kind": np.full(layout.axes * self.slots, int(INSIDE)),
-        }  # fmt: skip
+        }
+        if layout.kind.thixotropic:
+            own |= {
+                "gained": np.full(self.slots, layout.gained),
+                "layer": np.full(layout.axes * self.slots, layout.gained),
+            }
+            self.mesh_arrays += STRUCTURE
         self.mesh = self._filled(self.structs.Mesh, **{name: self._rows(name) for name in self.structs.Mesh.vars} | own)
         self.geometry = self._geometry(layout.geometry)
         self.opened = self._geometry(layout.opened)
@@ -100,6 +113,8 @@ class GridState:
             return self.count
         if name == "listed":
             return 1
+        if name in STRUCTURE:
+            return 0
         pushed = self.layout.axes**2 if self.layout.kind.cut else 0
         many = (
             {"grip": pushed, "pull": pushed, "lean": pushed}
@@ -144,14 +159,14 @@ class GridState:
     def state_dict(self) -> dict[str, np.ndarray]:
         """Arrays that the next step depends on."""
         found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
-        found |= {f"mesh_{name}": getattr(self.mesh, name).numpy() for name in MESH_ARRAYS}
+        found |= {f"mesh_{name}": getattr(self.mesh, name).numpy() for name in self.mesh_arrays}
         return found | {"flags": self.flags.numpy()}
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
         """Go on from a `state_dict`."""
         for name in PARTICLE_ARRAYS:
             getattr(self.particles, name).assign(found[name])
-        for name in MESH_ARRAYS:
+        for name in self.mesh_arrays:
             getattr(self.mesh, name).assign(found[f"mesh_{name}"])
         self.flags.assign(found["flags"])
 

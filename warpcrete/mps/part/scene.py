@@ -15,9 +15,9 @@ from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.meshes import rays
 from ...geometry.walls import MeshWall
+from ...theory.pipe import Concrete, Steady, steady
+from ...theory.pipe import Line as Stretch
 from ..scene import STEP_ERROR, check_interval
-from ..theory import Concrete, Steady, steady
-from ..theory import Line as Stretch
 
 FEWEST = 6
 """Cells across the narrowest bore."""

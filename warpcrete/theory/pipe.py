@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from ..core.concretes import concrete
 from ..core.errors import SceneError, between, one_of, refuse
 from ..core.parameters import Above, Declared, Within
+from .fits import StraightLine, straight_line
 
 FORMS = ("pipe", "plane", "paper")
 
@@ -145,6 +146,48 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     return steady_of_stress(concrete, line, high if flow > 0 else low, form)
 
 
+def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
+    """The concrete after `rest` [s]: yield stresses of bulk and slip layer have grown by A_thix t (Roussel 2006).
+
+    A_thix, `thixotropy` [Pa/s], is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens
+    strongly (his classes). It was measured on concrete; that the layer grows as fast is an assumption. The law is
+    linear for some tens of minutes at most.
+    """
+    between("rest", rest, 0, np.inf, "s")
+    between("thixotropy", thixotropy, 0, np.inf, "Pa/s")
+    gained = thixotropy * rest
+    return replace(concrete, yield_stress=concrete.yield_stress + gained, slip_yield=concrete.slip_yield + gained)
+
+
+def restart(
+    concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float = 0.0, form: str = "pipe"
+) -> Steady:
+    """The :class:`Steady` state that concrete which has stood is in as it starts to move, its structure still whole.
+
+    With no flow that is the limit below which nothing moves: a plug of length L in a round pipe of diameter d takes
+    rho g H + 4 (tau_L0 + A_thix t) L / d, as long as its layer bears less than its bulk. A piston that starts at once
+    with `flow` [m3/s] drags the layer as well. Either pressure falls to the steady one as shear breaks the structure.
+    """
+    return steady(rested(concrete, rest, thixotropy), line, flow, form)
+
+
+def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
+    """What a restart after `rest` [s] takes by every form, beside the steady pressure at `flow` [m3/s]; text."""
+    grown = rested(concrete, rest, thixotropy)
+    lines = [
+        f"after {rest:g} s of rest, grown by {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; slip layer "
+        f"{grown.slip_yield:g} Pa",
+        f"{'form':8s}{'moves from [Pa]':>16s}{'per metre [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
+        f"{'over steady':>13s}",
+    ]
+    for form in FORMS:
+        least = restart(concrete, line, rest, thixotropy, form=form).pressure
+        peak = restart(concrete, line, rest, thixotropy, flow, form).pressure
+        over = peak / steady(concrete, line, flow, form).pressure
+        lines.append(f"{form:8s}{least:16.6g}{least / line.length:18.6g}{peak:24.6g}{over:13.4g}")
+    return "\n".join(lines)
+
+
 def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str = "pipe") -> Steady:
     """The state that `pressure` [Pa] at the lower end drives. Raises :class:`SceneError` where nothing flows."""
     one_of("form", form, FORMS)
@@ -207,15 +250,33 @@ def slip_constants(
     viscosity, yield stress and density, `line` the layer's thickness; Table 3 follows from the constants of no
     thickness in this way.
     """
+    found = _slip_line(concrete, line, flows, pressures)
+    return found.slope, found.offset
+
+
+def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
+    """The same with standard errors, for a layer that there can be. Raises :class:`SceneError` for points that ask for
+    another.
+    """
+    found = _slip_line(concrete, line, flows, pressures)
+    if found.slope <= 0 or found.offset < 0:
+        raise SceneError(
+            f"fit: the points ask for a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which none "
+            "has; look at length, rise and diameter, and at viscosity and yield stress, whose shear is taken off the "
+            "flows"
+        )
+    return found
+
+
+def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
+    """Stress of the wall over slip velocity."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
         refuse("flows", q.tolist(), "needs two or more different flows, and a pressure for each")
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(p))):
         refuse("pressures", p.tolist(), "must be finite numbers")
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)
-    slip = q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe")
-    slope, offset = np.polyfit(slip, stress, 1)
-    return float(slope), float(offset)
+    return straight_line(q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe"), stress)
 
 
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:

@@ -62,17 +62,18 @@ def heap_at_rest(
 
     `volume` of the whole about an axis [m3], of one half by the metre in a plane [m2]. For heaps wider than high.
     """
-
-    def held(reach: float) -> float:
-        place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
-        depth = heap_depth(reach - place, yield_stress, density, gravity, form)
-        return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
-
     widest = 1.0
-    while held(widest) < volume:
+    while heap_volume(widest, yield_stress, density, gravity, form) < volume:
         widest *= 2
-    reach = _root(lambda x: held(x) - volume, 0.0, widest)
+    reach = root(lambda x: heap_volume(x, yield_stress, density, gravity, form) - volume, 0.0, widest)
     return reach, float(heap_depth(np.array(reach), yield_stress, density, gravity, form))
+
+
+def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
+    """What :func:`heap_at_rest` holds that reaches so far [m3, or m2 of one half in a plane]."""
+    place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
+    depth = heap_depth(reach - place, yield_stress, density, gravity, form)
+    return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
 
 
 def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
@@ -122,13 +123,13 @@ def box_at_rest(
     if yield_stress == 0:
         return volume / (length * width), volume / (length * width), length
     if filled(0.0, length)[0] >= volume:
-        reach = _root(lambda x: filled(0.0, x)[0] - volume, 0.0, length)
+        reach = root(lambda x: filled(0.0, x)[0] - volume, 0.0, length)
         return filled(0.0, reach)[1], 0.0, reach
-    far = _root(lambda h: filled(h, length)[0] - volume, 0.0, volume / (length * width))
+    far = root(lambda h: filled(h, length)[0] - volume, 0.0, volume / (length * width))
     return filled(far, length)[1], far, length
 
 
-def _root(function: Callable[[float], float], low: float, high: float) -> float:
+def root(function: Callable[[float], float], low: float, high: float) -> float:
     """Where a function that grows is none."""
     for _ in range(60):
         middle = 0.5 * (low + high)

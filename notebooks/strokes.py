@@ -1,0 +1,68 @@
+"""Two strokes with a stop, and a restart after ten minutes of rest, by both methods, as notebooks/strokes.md has them.
+
+`python notebooks/strokes.py` takes some four minutes on a core and writes notebooks/images/strokes.png.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warpcrete import Simulation, scenes
+from warpcrete.theory.pipe import CONCRETES, Line, restart, steady
+
+UNIT = dict(
+    unit="horizontal", concrete="no2", shapes="reference", diameter=0.1, length=0.3, ramp=0.02, strokes=2, stroke=0.12,
+    pause=0.4, settle=0.5,
+)  # fmt: skip
+RESTS = {
+    "no rest": {},
+    "600 s, worn off over 0.1 m": dict(rest=600.0, breakdown=0.1),
+    "600 s, never worn off": dict(rest=600.0, breakdown=100.0),
+}
+TUBE = dict(concrete="no2", ends="periodic", gravity=0.0, spacing=5e-3, flow=0.3 * np.pi * 0.05**2)
+PLUG = 1e3
+"""Pressure on the plug, that flows have none of [Pa]."""
+
+
+def main() -> None:
+    """Run and draw."""
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    line, concrete, flow = Line(length=0.3, rise=0.0), CONCRETES["no2"], TUBE["flow"]
+    for name, given in RESTS.items():
+        simulation = Simulation(scenes.pipe(**UNIT | given), device="cpu", threads=1)
+        run = simulation.run()
+        left.plot(run.series["time"], run.series["pressure"] / 1e3, label=name, linewidth=1.5)
+        found = ("first_peak_pressure", "held_pressure", "restart_pressure", "plateau_pressure", "restart_over_end")
+        print(f"elements, {name}:", {each: round(run[each], 3) for each in found if each in run.result})
+    stops = simulation.scene.pipe.stops
+    left.axvspan(stops.stroke_time, stops.period, color="0.93", zorder=0)
+    for name, given in list(RESTS.items())[1:]:
+        run = Simulation(scenes.tube(**TUBE | given, duration=1.0), device="cpu").run()
+        right.plot(
+            run.series["time"][1:], run.series["pressure"][1:] / 1e3, label=name, linewidth=1.5, color=_colour(name)
+        )
+        print(f"tube, {name}:", {each: round(run[each], 3) for each in ("restart_pressure", "restart_over_steady")})
+    fresh, grown = steady(concrete, line, flow).pressure, restart(concrete, line, 600.0, 0.5, flow).pressure
+    print("theory:", round(fresh, 1), round(grown, 1))
+    for axes, more in ((left, PLUG), (right, 0.0)):
+        for value in (fresh, grown):
+            axes.axhline((value + more) / 1e3, color="0.5", linestyle=":", linewidth=1.0)
+        axes.set(xlabel="time, the rest left out [s]", ylim=(0, None), xlim=(0, None))
+        axes.legend(frameon=False, fontsize=9, loc="upper left" if axes is left else "lower right")
+        axes.spines[["top", "right"]].set_visible(False)
+    left.set(ylabel="pressure [kPa]", title="elements: two strokes and a stop")
+    right.set(title="flow: the restart (dotted: theory)")
+    figure.savefig(Path(__file__).parent / "images" / "strokes.png", dpi=110)
+
+
+def _colour(name: str) -> Any:
+    return f"C{list(RESTS).index(name)}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""Wear of walls: works of sliding and impacts against closed forms, the books of energy, patches, checkpoints."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pumping import SMALL, command, small_options
+from test_checkpoint import mixed_scene
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.files import read_json
+from warpcrete.core.run_loop import Recorder
+from warpcrete.dem.batch_run import run_batch
+from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
+from warpcrete.dem.scene import Bodies, Scene, TimeStep, Wear
+from warpcrete.dem.wear import PipePatches
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
+
+FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
+MESH = MeshWall(
+    name="floor", vertices=np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]),
+    faces=np.array([[0, 1, 2], [0, 2, 3]]),
+)  # fmt: skip
+MASS = 2500 * np.pi / 6 * 0.02**3
+
+
+def sliding(contact, *, wall=FLOOR, height=None, velocity=(0.5, 0.0, 0.0), **changes) -> Scene:
+    """A sphere that slides over a floor, at the depth where it rests."""
+    stiffness = 1e6 * np.pi * 0.01
+    height = 0.01 - MASS * 9.81 / stiffness if height is None else height
+    settings = dict(
+        name="one", duration=0.02, contact=contact, precision="float64", energy_balance=True, walls=(wall,),
+        bodies=(Bodies(positions=[[0.1, 0.2, height]], sizes=0.02, velocities=np.array([velocity], float)),),
+        wear=Wear(coefficient=1e-12), time_step=TimeStep(fixed=2e-6), sample_interval=0.005,
+    )  # fmt: skip
+    return Scene(**(settings | changes))
+
+
+@pytest.mark.parametrize("wall", [FLOOR, MESH], ids=["plane", "mesh"])
+def test_a_sliding_sphere_works_mu_n_s(device, wall):
+    # It slides all the time: friction slows it by mu g and spins it up, so that its surface slows by 3.5 mu g.
+    mu, t, v = 0.1, 0.02, 0.5
+    contact = Contact(effective_modulus=1e6, friction=mu, normal_damping_ratio=0.5)
+    run = Simulation(sliding(contact, wall=wall), device=device).run()
+    way = v * t - 0.5 * 3.5 * mu * 9.81 * t**2
+    load = MASS * 9.81
+    worn = run.wear.main if wall is MESH else run.wear.walls[0]
+    work, bumps, load_way = worn.done.sum(0)
+    stretched = mu * load / (1e6 * np.pi * 0.01 / 2)  # of the shear spring, before it slips
+    assert work == pytest.approx(mu * load * (way - stretched), rel=2e-4)
+    assert load_way == pytest.approx(load * way, rel=2e-4)
+    assert bumps < 1e-6 * work
+    series = run.series
+    assert series["floor_sliding_work"][-1] == work
+    spring = 0.5 * mu * load * stretched
+    assert series["dissipated_energy"][-1] == pytest.approx(work + bumps, rel=1e-9)
+    assert run.result["energy_balance_error"] < 1e-3 and spring < work
+
+
+def test_a_mesh_knows_which_triangle(device):
+    contact = Contact(effective_modulus=1e6, friction=0.1)
+    worn = Simulation(sliding(contact, wall=MESH), device=device).run().wear.main
+    assert worn.done[0, 0] == 0 and worn.done[1, 0] > 0  # x < y lies in the second
+    assert worn.depth[1] == pytest.approx(1e-12 * worn.done[1, 2] / 2.0)
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        Contact(effective_modulus=1e6, friction=0.3, normal_damping_ratio=0.4),
+        LubricationLayer(contact=Contact(effective_modulus=1e6, friction=0.1), yield_stress=20.0, viscosity=50.0),
+        HertzMindlin(effective_modulus=1e7, effective_shear_modulus=3e6, friction=0.3, restitution=0.6),
+    ],
+    ids=["linear", "layer", "hertz"],
+)
+def test_impacts_lose_what_a_straight_one_does(device, contact):
+    # An impact at a slant loses across the wall what one straight on does, and the rest of its loss is sliding.
+    slant = dict(gravity=(0, 0, 0), height=0.0101, duration=0.02)
+    straight = Simulation(sliding(contact, velocity=(0, 0, -0.3), **slant), device=device).run()
+    aslant = Simulation(sliding(contact, velocity=(0.4, 0, -0.3), **slant), device=device).run()
+    before, after = straight.series["kinetic_energy"][[0, -1]]
+    (work, bump, _), (slid, bumped, _) = (run.wear.walls[0].done.sum(0) for run in (straight, aslant))
+    assert bump == pytest.approx(straight.series["dissipated_energy"][-1], rel=1e-9) and work == 0.0
+    assert bump == pytest.approx(before - after, rel=2.5e-3)  # measured: 1.7e-3, of a step a thousandth of the impact
+    assert bumped == pytest.approx(bump, rel=1e-6) and slid > 0.1 * bump
+
+
+def test_patches_of_a_bend_add_up_to_a_torus():
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.3), Arc(0.5, np.pi / 2, (1, 0, 0)), Line(0.2)))
+    patches = PipePatches(PipeWall(name="pipe", axis=axis, radius=0.075), None)
+    straight, bend = 2 * np.pi * 0.075 * 0.5, 2 * np.pi * 0.075 * 0.5 * np.pi / 2
+    assert patches.areas.sum() == pytest.approx(straight + bend, rel=1e-9)
+    middle = patches.of(np.array([[0.5 - 0.575 * np.sqrt(0.5), 0, 0.3 + 0.575 * np.sqrt(0.5)]]))  # outside of the bend
+    station, angle = divmod(int(middle[0]), patches.around)
+    assert angle == 0 and patches.along[station] == pytest.approx(0.3 + 0.25 * np.pi / 2, abs=0.02)
+    assert patches.areas[middle[0]] == pytest.approx(patches.areas.max())
+    vertices, faces, patch = patches.surface()
+    assert faces.max() == len(vertices) - 1 and len(patch) == len(vertices)
+    centre = patches.of(vertices[patches.around : -patches.around])
+    assert np.array_equal(centre, patch[patches.around : -patches.around])
+
+
+def test_a_wall_that_speeds_up_is_worn_with_the_square_of_time(device):
+    # It slides under a sphere that lags ever more behind: at an even load the way goes with the square of time.
+    contact = Contact(effective_modulus=1e6, friction=0.05)
+    motion = Prescribed(velocity=(1.0, 0, 0), ramp_time=0.02)
+    scene = sliding(contact, velocity=(0, 0, 0), wall=dataclasses.replace(FLOOR, motion=motion))
+    worn = Simulation(scene, device=device).run().series["floor_load_way"]
+    assert worn[4] / worn[2] == pytest.approx(4.0, rel=5e-3)
+    assert worn[-1] == pytest.approx(MASS * 9.81 * 0.5 * (50 - 3.5 * 0.05 * 9.81) * 0.02**2, rel=5e-3)
+
+
+def thrown(**changes) -> Scene:
+    """Stones thrown about a bend, which lose energy on its wall alone, whose springs in shear store none."""
+    random = np.random.default_rng(3)
+    axis = Axis((0, 0, 0), (0, 0, 1), (Arc(0.2, np.pi / 2, (1, 0, 0)),))
+    points, _, normal, side = axis.frame(np.linspace(0.03, 0.28, 12))
+    layer = LubricationLayer(contact=Contact(friction=0.0, normal_damping_ratio=0.3), viscosity=500.0)
+    return Scene(
+        name="thrown", duration=0.1, contacts={("aggregate", "wall"): layer},
+        contact=Contact(friction=0.0, normal_damping_ratio=0.0), energy_balance=True, wear=Wear(), sample_interval=0.01,
+        bodies=(Bodies(positions=points + 0.02 * normal - 0.01 * side, sizes=0.012,
+                       velocities=random.normal(scale=0.3, size=(12, 3))),),
+        walls=(PipeWall(name="pipe", axis=axis, radius=0.04),), precision="float64",
+    )  # fmt: skip
+
+
+def test_the_map_adds_up_to_what_is_dissipated(device):
+    run = Simulation(thrown(), device=device).run()
+    worn = run.wear.walls[0]
+    total = worn.done[:, :2].sum()
+    assert total == pytest.approx(run.series["dissipated_energy"][-1], rel=1e-9) and total > 1e-3
+    assert np.all(worn.done.sum(0) > 0) and np.count_nonzero(worn.done[:, 0]) > 5
+    assert worn.mean_depth() == pytest.approx(2e-13 * worn.done[:, 2].sum() / worn.patches.areas.sum())
+
+
+def worn_scene(seed=0) -> Scene:
+    return dataclasses.replace(mixed_scene(seed), wear=Wear(), duration=0.1)
+
+
+class Cut(Recorder):
+    def sample(self, simulation, row):
+        simulation.stop_requested = len(simulation.rows) == 14
+
+
+def same(one, other):
+    assert one.result["state_hash"] == other.result["state_hash"]
+    for name in one.series:
+        assert np.array_equal(one.series[name], other.series[name]), name
+    for mine, yours in zip(one.wear.walls, other.wear.walls, strict=True):
+        assert np.array_equal(mine.done, yours.done)
+
+
+def test_a_resumed_run_wears_the_same(device, tmp_path):
+    whole = Simulation(worn_scene(), device=device).run()
+    path = tmp_path / "checkpoint.npz"
+    assert not Simulation(worn_scene(), device=device, checkpoint_path=path, recorders=[Cut()]).run().finished
+    second = Simulation(worn_scene(), device=device)
+    second.resume(path)
+    same(second.run(), whole)
+    assert {wall.name for wall in whole.wear.walls if wall.done.any()} == {"floor", "plate", "drum"}
+
+
+def test_a_scene_in_a_batch_wears_as_alone(device):
+    some = [worn_scene(seed) for seed in (0, 1)]
+    batched = run_batch([Simulation(scene, device=device, threads=1) for scene in some])
+    for scene, run in zip(some, batched, strict=True):
+        same(run, Simulation(scene, device=device, threads=1).run())
+
+
+@pytest.mark.parametrize("case", [dict(unit="elbow-up"), dict(wall="mesh", facets=24)], ids=["elbow", "mesh"])
+def test_counting_wear_changes_nothing_else(device, case):
+    plain = Simulation(scenes.pipe(**(SMALL | case)), device=device).run()
+    run = Simulation(scenes.pipe(**(SMALL | case), wear=True), device=device).run()
+    assert run.result["state_hash"] == plain.result["state_hash"]
+    assert not [name for name in plain.result if name.startswith("wear")] and plain.wear is None
+    pipe = run.wear.main
+    assert pipe.name == "pipe" and run["wear_depth_per_hour"] == pytest.approx(
+        3600 * pipe.mean_depth() / run.series["time"][-1]
+    )
+    assert run["wear_largest_depth_per_hour"] > run["wear_depth_per_hour"]
+    assert 0 <= run["wear_worst_angle"] < 360 and 0 < run["wear_worst_along"] < 0.4
+    # Dense concrete slides, and hardly ever bumps.
+    assert run["wear_impact_energy"] < 0.02 * run["wear_sliding_energy"]
+
+
+def test_the_command_draws_and_paints_it(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    out = tmp_path / "run"
+    done = command("run", "pipe", "--device", "cpu", *small_options(unit="elbow-up"), "--wear", "--usd", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "um/h" in done.stdout and (out / "wear.png").stat().st_size > 10_000
+    assert read_json(out / "result.json")["wear_depth_per_hour"]["unit"] == "m/h"
+    stage = Usd.Stage.Open(str(out / "scene.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Walls/pipe"))
+    colour = mesh.GetDisplayColorPrimvar()
+    first, last = (np.array(colour.Get(code)) for code in (0, colour.GetTimeSamples()[-1]))
+    assert len(last) == len(mesh.GetPointsAttr().Get()) and colour.GetInterpolation() == "vertex"
+    assert np.ptp(first, axis=0).max() == 0 and np.ptp(last, axis=0).max() > 0.3
+
+
+def test_wear_is_refused_with_nonsense():
+    from warpcrete import SceneError
+
+    with pytest.raises(SceneError, match=r"^wear_coefficient = -1"):
+        scenes.pipe(wear=True, wear_coefficient=-1)
+    with pytest.raises(SceneError, match=r"^wear patch = 0"):
+        Wear(patch=0)

@@ -1,0 +1,41 @@
+"""Numbers and words about a blocked pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..core.method import Quantity
+from ..core.units import number
+
+
+def _of(name: str) -> Callable[[Any], float | None]:
+    return lambda known: known.blocked.get(name) if known.blocked else None
+
+
+QUANTITIES = (
+    Quantity("blocked", "1", lambda known: None if known.blocked is None else float(bool(known.blocked)),
+             compared=True, rare=True),
+    Quantity("blocked_at", "m", _of("at")),
+    Quantity("blocked_time", "s", _of("time")),
+    Quantity("blocked_from_travel", "m", _of("travel")),
+    Quantity("blocked_pressure", "Pa", _of("pressure")),
+    Quantity("blocked_pressure_before", "Pa", _of("pressure_before")),
+    Quantity("blocked_solid_fraction", "1", _of("solid_fraction")),
+    Quantity("blocked_chains", "1", _of("chains")),
+)  # fmt: skip
+"""0 or 1, so that its mean over seeds is a probability; where along the axis, when it was told, the travel from which
+on part of the concrete stood, the pressure when it was told and then, the solid fraction there, and the networks of
+strong contacts that span the pipe there."""
+
+
+def blocked_words(run: Any) -> str:
+    """Where and why a pipe was blocked."""
+    found = {name: number(run.result[f"blocked_{name}"]) for name in
+             ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
+    spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"
+    return (
+        f"at {found['at']:.3g} m along the pipe: part of the concrete stands since {found['from_travel']:.3g} m of "
+        f"travel, while the pressure rose from {found['pressure_before'] / 1e3:.3g} to {found['pressure'] / 1e3:.3g} "
+        f"kPa; {spans} the section there, at a solid fraction of {found['solid_fraction']:.2f}"
+    )

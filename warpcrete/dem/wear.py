@@ -1,0 +1,226 @@
+"""Wear of walls: what contacts did to each patch of a wall since t = 0, and how deep that wears it after Archard.
+
+Every step adds what each sphere does to each wall, without loss; at a sample that goes to the patch where the sphere
+touched last. So sums are exact, and places to within what a sphere goes between two samples.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..geometry.axis import Arc
+from ..geometry.meshes import faces_at
+from ..geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
+from .scene import Wear
+from .state import State
+
+AROUND = 24
+"""Patches round a pipe, unless their size is given."""
+MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
+COLUMNS = ("sliding_work", "impact_loss", "load_way")
+"""Of the series and of a patch: work of sliding [J], loss of impacts [J], load times way slid [N m]."""
+UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
+HOUR = 3600.0
+
+
+class Patches(ABC):
+    """A wall cut into patches."""
+
+    areas: np.ndarray
+    """[m2], shape (patches,); infinite for a plane without an end."""
+
+    @abstractmethod
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """Patch of each of `points` (n, 3), in the wall's frame [m]."""
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Vertices (v, 3) [m], faces (f, 3) and the patch of each vertex (v,); None where nothing is drawn."""
+        return None
+
+
+class PlanePatch(Patches):
+    """A plane, whole."""
+
+    def __init__(self, wall: PlaneWall) -> None:
+        self._wall = wall
+        self.areas = np.array([np.pi * wall.drawn_radius**2 if wall.drawn_radius > 0 else np.inf])
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        return np.zeros(len(points), int)
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        drawn = self._wall.drawn()
+        return None if drawn is None else (*drawn, np.zeros(len(drawn[0]), int))
+
+
+class PipePatches(Patches):
+    """Stations along a pipe times places around it, in rows of stations.
+
+    The angle counts from the outside of its bends (their plane, away from the centre), or from a normal of a straight
+    pipe's axis, towards the side.
+    """
+
+    def __init__(self, wall: PipeWall, side: float | None) -> None:
+        self.axis, self.radius = wall.axis, wall.radius
+        width = side or 2 * np.pi * wall.radius / AROUND
+        self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
+        self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
+        self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
+        """Middle of each station, arc length [m]."""
+        self.angles = 2 * np.pi * np.arange(self.around) / self.around
+        """Middle of each place around [rad]."""
+        self.areas = self._areas(wall.axis.length / self.stations).ravel()
+
+    def _areas(self, long: float) -> np.ndarray:
+        """Area of each patch [m2]: of a bend the outside is longer than the axis."""
+        turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
+        lever = self.radius * np.cos(self.angles)
+        return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
+
+    def _curvature(self, s: float):
+        begin = 0.0
+        for segment in self.axis.segments():
+            piece = segment["piece"]
+            if begin <= s <= begin + piece.length and isinstance(piece, Arc):
+                _, _, normal, _ = self.axis.frame(begin)
+                # Frames do not twist, so a bend the other way has its outside on the other side.
+                yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
+            begin += piece.length
+
+    def place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Arc length [m] and angle [rad] of points (n, 3)."""
+        s = self.axis.along(points)
+        centre, _, normal, side = self.axis.frame(s)
+        offset = points - centre
+        return s, np.arctan2(np.sum(offset * side, 1), np.sum(offset * normal, 1))
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        s, angle = self.place(points)
+        row = np.clip((s / self.axis.length * self.stations).astype(int), 0, self.stations - 1)
+        column = np.rint(angle / (2 * np.pi) * self.around).astype(int) % self.around
+        return row * self.around + column
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A corner in the middle of each patch, and rings at both ends."""
+        length = self.axis.length
+        s = np.concatenate([[0.0], self.along, [length]])
+        points, _, normal, side = self.axis.frame(s)
+        ring = np.cos(self.angles)[None, :, None] * normal[:, None] + np.sin(self.angles)[None, :, None] * side[:, None]
+        vertices = (points[:, None] + self.radius * ring).reshape(-1, 3)
+        n = self.around
+        row, column = np.meshgrid(np.arange(len(s) - 1), np.arange(n), indexing="ij")
+        a, b = (row * n + column).ravel(), (row * n + (column + 1) % n).ravel()
+        faces = np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)])
+        station = np.clip(np.arange(len(s)) - 1, 0, self.stations - 1)
+        return vertices, faces, (station[:, None] * n + np.arange(n)).ravel()
+
+
+class MeshPatches(Patches):
+    """The triangles of a mesh."""
+
+    def __init__(self, wall: MeshWall) -> None:
+        self._wall = wall
+        a, b, c = (wall.vertices[wall.faces[:, k]] for k in range(3))
+        self.areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        self._reach = 2 * float(np.linalg.norm(np.ptp(wall.vertices, axis=0)))
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        return np.maximum(faces_at(self._wall, points, self._reach), 0)
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        faces = np.arange(3 * len(self.areas)).reshape(-1, 3)
+        return self._wall.vertices[self._wall.faces].reshape(-1, 3), faces, np.repeat(np.arange(len(self.areas)), 3)
+
+
+def patches_of(wall: Wall, side: float | None) -> Patches:
+    """The patches of a wall; those of a pipe have about this `side` [m]."""
+    if isinstance(wall, PipeWall):
+        return PipePatches(wall, side)
+    return MeshPatches(wall) if isinstance(wall, MeshWall) else PlanePatch(wall)
+
+
+@dataclass(repr=False)
+class WornWall:
+    """What contacts did to a wall, patch by patch."""
+
+    name: str
+    patches: Any
+    """A :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
+    done: np.ndarray
+    """Of each patch the columns of :data:`COLUMNS` since t = 0, shape (patches, 3)."""
+    coefficient: float
+    """Archard's k [m2/N]."""
+
+    def __repr__(self) -> str:
+        return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
+
+    @property
+    def sliding(self) -> np.ndarray:
+        """Work of sliding over the area [J/m2], shape (patches,)."""
+        return self.done[:, 0] / self.patches.areas
+
+    @property
+    def impacts(self) -> np.ndarray:
+        """What impacts lost over the area [J/m2], shape (patches,)."""
+        return self.done[:, 1] / self.patches.areas
+
+    @property
+    def depth(self) -> np.ndarray:
+        """Worn depth k (load x way) / area [m], shape (patches,)."""
+        return self.coefficient * self.done[:, 2] / self.patches.areas
+
+    def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:
+        """Worn depth over the area of chosen patches [m]."""
+        return float(self.coefficient * self.done[chosen, 2].sum() / self.patches.areas[chosen].sum())
+
+
+class WearMap:
+    """What contacts did to every wall of a scene."""
+
+    def __init__(self, walls: Sequence[Wall], wear: Wear) -> None:
+        self.walls = [
+            WornWall(wall.name, made := patches_of(wall, wear.patch), np.zeros((len(made.areas), 3)), wear.coefficient)
+            for wall in walls
+        ]
+
+    def take(self, state: State) -> None:
+        """Move what spheres did since the last time to the patches, in the order of their permanent numbers."""
+        order = np.argsort(state.spheres.id.numpy())
+        worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
+        state.slots.worn.zero_()
+        for number, wall in enumerate(self.walls):
+            met = np.flatnonzero(np.any(worn[:, number] != 0, axis=1))
+            if len(met):
+                patch = wall.patches.of(points[met, number])
+                for column in range(3):
+                    weights = worn[met, number, column]
+                    wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
+
+    def columns(self) -> dict[str, float]:
+        """What a row of the series has of each wall, summed over its patches."""
+        return {
+            f"{wall.name}_{name}": float(wall.done[:, column].sum())
+            for wall in self.walls
+            for column, name in enumerate(COLUMNS)
+        }
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Patches of every wall."""
+        return {wall.name: wall.done for wall in self.walls}
+
+    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state_dict`."""
+        for wall in self.walls:
+            wall.done = np.array(state[wall.name])
+
+    @property
+    def main(self) -> WornWall | None:
+        """The wall that holds the concrete: of pipes and meshes, or else of planes, the one that is worn most."""
+        found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
+        shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
+        return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

@@ -1,0 +1,1 @@
+"""A concrete described as a mix: what a file says of it, and what follows for elements and flows."""

@@ -1,0 +1,291 @@
+"""What a file says of a mix: read, in SI units, and refused where it cannot be."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.amounts import amount
+from ..core.errors import between, one_of, positive, refuse
+from .points import PUMPED, read_points
+
+UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
+SLIPPED = {"speed": "m/s", "stress": "Pa"}
+SHEARED = {"rate": "1/s", "stress": "Pa"}
+"""Columns of points of a tribometer and of a viscometer."""
+KEYS = ("density", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
+        "viscometer", "slump", "spread", "t500", "layer")  # fmt: skip
+SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
+          "angular": "reference", "reference": "reference"}  # fmt: skip
+"""Words for the shape of stones, and what elements take for them; a shape factor makes rows of spheres."""
+FINEST = 1e-3
+"""Smallest stone that counts as coarse aggregate [m]."""
+PACKED = 0.57
+"""Of the volume, equal balls packed as they fall (Mahaut et al. 2008): no concrete has more coarse aggregate."""
+GRAVEL = 2650.0
+"""Density of aggregate that nobody gave [kg/m3]."""
+OFF = 0.03
+"""By which densities may be off that should be the same."""
+MORTARS = (1200.0, 2800.0)
+"""Densities that a mortar can have [kg/m3]."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Constants by name with a common uncertainty, relative; None where it is not given."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What was measured of the slip layer: one of the three."""
+
+    constants: Measured | None = None
+    pumped: tuple[list[float], list[float]] | None = None
+    """Flows [m3/s] and pressures [Pa] of a pipe of these measures."""
+    diameter: float = 0.0
+    length: float = 0.0
+    rise: float = 0.0
+    """[m]"""
+    slipped: tuple[list[float], list[float]] | None = None
+    """Speeds [m/s] and stresses [Pa] of a tribometer."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """A mix as its file has it; None where it says nothing."""
+
+    density: float
+    """Of the concrete [kg/m3]."""
+    summed: bool
+    """It is the sum of the parts."""
+    share: float | None
+    """Of the volume, coarse aggregate."""
+    aggregate_density: float
+    sieve: tuple[tuple[float, float], ...] | None
+    """Openings [m] and what passes them of the mass."""
+    sizes: tuple[float, float] | None
+    shape: str | None
+    """As elements have it."""
+    concrete: Measured
+    mortar: Measured
+    sheared: tuple[list[float], list[float]] | None
+    """Rates [1/s] and stresses [Pa] of a viscometer."""
+    slump: float | None
+    spread: float | None
+    t500: float | None
+    layer: Layer
+
+    @property
+    def largest(self) -> float | None:
+        """Largest stone [m]."""
+        if self.sieve is not None:
+            return self.sieve[-1][0]
+        return self.sizes[1] if self.sizes is not None else None
+
+
+def read(given: Mapping[str, Any], folder: Path) -> Given:
+    """A mix from the section of a file in `folder`. Raises :class:`SceneError` for one that contradicts itself."""
+    if not given:
+        refuse("mix", given, "is empty", f"say something of it: {', '.join(KEYS)}")
+    if not isinstance(given, Mapping):
+        refuse("mix", given, "must be 'key: value' lines", "indent them below the section's name")
+    for key in given:
+        one_of("mix key", key, KEYS)
+    if "sieve" in given and "sizes" in given:
+        refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of both")
+    density, summed = _density(given)
+    heavy = _number(given, "aggregate_density", "kg/m3", 1000, 8000)
+    share = _share(given["aggregate"], heavy or GRAVEL) if "aggregate" in given else None
+    mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
+    if mortar.values and share is None:
+        refuse("mix mortar", given["mortar"], "needs the share of coarse aggregate in it", "as 'aggregate: 36 %'")
+    if share is not None:
+        _check_parts(density, share, heavy or GRAVEL, mortar.values.get("density"))
+    spread, t500 = _number(given, "spread", "m", 0.35, 1.2), _number(given, "t500", "s", 0.5, 120)
+    if t500 is not None and (spread is None or spread < 0.5):
+        refuse("mix t500", given["t500"], "needs the spread at rest, of 500 mm or more", "as 'spread: 650 mm'")
+    return Given(
+        density=density,
+        summed=summed,
+        share=share,
+        aggregate_density=heavy or GRAVEL,
+        sieve=_sieve(given["sieve"]) if "sieve" in given else None,
+        sizes=_sizes(given["sizes"]) if "sizes" in given else None,
+        shape=_shape(given["shape"]) if "shape" in given else None,
+        concrete=_constants("concrete", given.get("concrete", {}), UNITS),
+        mortar=mortar,
+        sheared=_pairs("viscometer", given["viscometer"], SHEARED, folder) if "viscometer" in given else None,
+        slump=_number(given, "slump", "m", 0.01, 0.24, "of softer concrete give the spread"),
+        spread=spread,
+        t500=t500,
+        layer=_layer(given.get("layer", {}), folder),
+    )
+
+
+def _number(given: Mapping[str, Any], name: str, unit: str, low: float, high: float, hint: str = "") -> float | None:
+    if given.get(name) is None:
+        return None
+    found = amount(f"mix {name}", given[name], unit)
+    between(f"mix {name}", found, low, high, unit, hint)
+    return found
+
+
+def _density(given: Mapping[str, Any]) -> tuple[float, bool]:
+    """Of the concrete, and whether it is the sum of its parts."""
+    own = _number(given, "density", "kg/m3", 1000, 5000, "'2.35 t/m3' has its unit")
+    if "parts" not in given:
+        if own is None:
+            refuse("mix density", None, "must be given, that of the concrete", "as 'density: 2350 kg/m3', or its parts")
+        return own, False
+    parts = given["parts"]
+    if not isinstance(parts, Mapping) or not parts:
+        refuse("mix parts", parts, "must be what a cubic metre is made of", "as {cement: 340 kg/m3, water: 170 kg/m3}")
+    total = 0.0
+    for name, value in parts.items():
+        mass = amount(f"mix parts: {name}", value, "kg/m3")
+        positive(f"mix parts: {name}", mass, "kg/m3")
+        total += mass
+    if own is not None and abs(total / own - 1) > OFF:
+        refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of both")
+    if own is None:
+        between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all of them, the aggregates too")
+    return (own, False) if own is not None else (total, True)
+
+
+def _share(given: Any, heavy: float) -> float:
+    """Of the volume; from kg/m3 by the density of the stones."""
+    if isinstance(given, str) and re.search(r"(kg|t|g)/", given):
+        found = amount("mix aggregate", given, "kg/m3") / heavy
+    else:
+        found = amount("mix aggregate", given, "m3/m3")
+        if found > 1:
+            refuse("mix aggregate", given, "must be a share of the volume, up to 1, or have a unit",
+                   "as '36 %', '360 l/m3', '950 kg/m3'")  # fmt: skip
+    positive("mix aggregate", found)
+    if found >= PACKED:
+        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than stones packed as they fall, {PACKED}",
+               "count the coarse aggregate alone")  # fmt: skip
+    return found
+
+
+def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:
+    """Densities of concrete, stones and mortar must fit."""
+    rest = (density - share * heavy) / (1 - share)
+    words = f"leaves a mortar of {rest:.4g} kg/m3 beside {share:.3g} of aggregate of {heavy:g}"
+    if not MORTARS[0] <= rest <= MORTARS[1]:
+        refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g}",
+               "look at aggregate and aggregate_density")  # fmt: skip
+    if own is not None and abs(rest / own - 1) > OFF:
+        refuse("mix density", density, f"{words}, and the mortar's is given as {own:g}", "leave out one of them")
+
+
+def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
+    """Openings [m] with fractions, from millimetres with fractions or per cent."""
+    example = "as {4: 0, 8: 0.4, 16: 1}, mm: what passes of the mass"
+    if not isinstance(given, Mapping) or len(given) < 2:
+        refuse("mix sieve", given, "must be two openings or more, and what passes them", example)
+    opened = {amount("mix sieve: opening", key if isinstance(key, str) else f"{key} mm", "m"): value
+              for key, value in given.items()}  # fmt: skip
+    passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
+    if passing[-1] == 100:
+        passing = [value / 100 for value in passing]
+    openings = list(opened)
+    if len(openings) < len(given) or openings != sorted(openings) or openings[0] <= 0:
+        refuse("mix sieve", given, "must have its openings above 0 and rising", example)
+    if passing != sorted(passing):
+        fall = next(k for k in range(1, len(passing)) if passing[k] < passing[k - 1])
+        refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
+               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: more passes a wider sieve", example)  # fmt: skip
+    if passing[0] != 0 or passing[-1] != 1:
+        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 per cent", example)
+    if openings[0] < FINEST:
+        refuse("mix sieve", given, "has fines: what is below some 4 mm is mortar to both methods",
+               "give the curve of the coarse aggregate alone")  # fmt: skip
+    return tuple(zip(openings, passing, strict=True))
+
+
+def _sizes(given: Any) -> tuple[float, float]:
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        refuse("mix sizes", given, "must be the smallest and the largest", "as [5 mm, 20 mm]")
+    low, high = (amount("mix sizes", each, "m") for each in given)
+    between("mix sizes, the largest", high, FINEST, 0.3, "m", "'20 mm' has its unit")
+    between("mix sizes, the smallest", low, FINEST, high, "m", "what is finer is mortar")
+    return low, high
+
+
+def _shape(given: Any) -> str:
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        between("mix shape", given, 1, 20)
+        return f"shape-{given:g}" if given > 1 else "spheres"
+    if given not in SHAPES:
+        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}", "or longest over shortest width, from 1 on")
+    return SHAPES[given]
+
+
+def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
+    """Constants of a section of the mix."""
+    if not isinstance(given, Mapping):
+        refuse(f"mix {name}", given, "must be a mapping", f"of {', '.join(units)}, and the uncertainty")
+    for key in given:
+        one_of(f"mix {name}: key", key, (*units, "uncertainty"))
+    values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
+    for key, value in values.items():
+        if key == "yield_stress":
+            between(f"mix {name}: {key}", value, 0, 1e5, units[key])
+        else:
+            positive(f"mix {name}: {key}", value, units[key])
+    off = None
+    if "uncertainty" in given:
+        off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
+        between(f"mix {name}: uncertainty", off, 0, 0.9, "", "as '15 %', of the values")
+    return Measured(values, off)
+
+
+def _layer(given: Any, folder: Path) -> Layer:
+    """Of constants, of points of a pipe or of points of a tribometer."""
+    if not isinstance(given, Mapping):
+        refuse("mix layer", given, "must be a mapping", "as {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
+    if not given:
+        return Layer()
+    if "points" in given:
+        for key in given:
+            one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
+        found = {}
+        for key in ("diameter", "length"):
+            if key not in given:
+                refuse(f"mix layer: {key}", None, "must be given, that of the pipe of the points", "as '125 mm'")
+            found[key] = amount(f"mix layer: {key}", given[key], "m")
+            positive(f"mix layer: {key}", found[key], "m")
+        found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
+        between("mix layer: rise", found["rise"], -found["length"], found["length"], "m", "what the pipe gains in it")
+        return Layer(pumped=_pairs("layer: points", given["points"], PUMPED, folder), **found)
+    if "tribometer" in given:
+        for key in given:
+            one_of("mix layer: key", key, ("tribometer",))
+        return Layer(slipped=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
+    constants = _constants("layer", given, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
+    if len(constants.values) < 2:
+        refuse("mix layer", dict(given), "must have yield_stress and viscosity, or points, or tribometer")
+    return Layer(constants)
+
+
+def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
+    """Columns of points, from a CSV file beside the mix or from pairs in SI units or with theirs."""
+    if isinstance(given, str):
+        one, other = read_points(folder / given, columns, f"mix {name}")
+    else:
+        words = " and ".join(f"{each} [{unit}]" for each, unit in columns.items())
+        if not isinstance(given, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in given):
+            refuse(f"mix {name}", given, f"must be pairs of {words}, or the path of a .csv file")
+        (x, x_unit), (y, y_unit) = columns.items()
+        one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
+        other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
+    if len(set(one)) < 2:
+        refuse(f"mix {name}", one, "needs two or more points, at different places")
+    return one, other

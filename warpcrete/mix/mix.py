@@ -1,0 +1,191 @@
+"""A mix, and what it is to elements and flows: `mix_of` a mapping, `read_mix` of a file."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..core.concretes import NamedConcrete, concrete, known_only
+from ..core.errors import positive, refuse
+from ..theory.pipe import Concrete
+from .figures import Figure, agreed, around, short
+from .given import OFF, Given, read
+from .rheology import layer, mortar, unknown_viscosity, viscosities, yield_stresses
+
+FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
+        "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
+"""Constants of a flow by their names there, and the figures' own."""
+UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa"}
+COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
+
+
+@dataclass(frozen=True, repr=False)
+class Mix:
+    """A concrete that was described as a mix."""
+
+    name: str
+    source: str
+    given: Given
+    figures: tuple[Figure, ...]
+    """All that follows; SI units."""
+    remarks: tuple[str, ...] = ()
+    """What a reader should know."""
+
+    def __repr__(self) -> str:
+        return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
+
+    def _repr_html_(self) -> str:
+        """The table, as notebooks show it."""
+        rows = [("th", COLUMNS), *(("td", tuple(row.values())) for row in self.rows())]
+        cells = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) for tag, row in rows)
+        return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
+
+    def __getitem__(self, name: str) -> Figure:
+        """The figure of a name, as 'yield stress' or 'slip viscosity'."""
+        known = {figure.name: figure for figure in self.figures}
+        if name not in known:
+            refuse("figure", name, f"must be one of {', '.join(known)}")
+        return known[name]
+
+    def _concrete(self, end: str) -> Concrete:
+        return Concrete(name=self.name, **{key: getattr(self[name], end) for key, name in FLOW.items()})
+
+    @property
+    def concrete(self) -> Concrete:
+        """A Bingham fluid with a slip layer."""
+        return self._concrete("value")
+
+    @property
+    def band(self) -> tuple[Concrete, Concrete]:
+        """The same with every constant at the lower, and at the upper end of its band."""
+        return self._concrete("low"), self._concrete("high")
+
+    @property
+    def flow(self) -> dict[str, float]:
+        """Section of a concrete's file."""
+        return {key: self[name].value for key, name in FLOW.items()}
+
+    @property
+    def elements(self) -> dict[str, Any]:
+        """Likewise, of sizes and shapes; density and slip layer follow from the flow."""
+        given, found = self.given, {}
+        if given.sieve is not None:
+            found["sizes"] = ",".join(f"{1e3 * opening:.6g}:{passing:.6g}" for opening, passing in given.sieve)
+        elif given.sizes is not None:
+            found |= {"size_min": given.sizes[0], "size_max": given.sizes[1]}
+        if given.shape is not None:
+            found["shapes"] = given.shape
+        return found
+
+    @property
+    def aggregates(self) -> dict[str, float]:
+        """Parameters of the coarse aggregate in a flow of two phases; empty where its share is not known."""
+        if self.given.share is None:
+            return {}
+        return {
+            "aggregate_fraction": self.given.share,
+            "aggregate_density": self.given.aggregate_density,
+            "mortar_viscosity": self["mortar's viscosity"].value,
+            "mortar_yield": self["mortar's yield stress"].value,
+        }
+
+    def rows(self) -> list[dict[str, str]]:
+        """The table's, by :data:`COLUMNS`; the words of sizes and shape besides the figures."""
+        found = []
+        for each in self.figures:
+            band = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else ""
+            found.append((each.name, f"{each.value:.4g}", each.unit, band, each.way, each.source))
+        given = self.given
+        if given.share is not None:
+            found.append(("aggregate", f"{given.share:.4g}", "of the volume", "", "aggregate",
+                          f"{given.aggregate_density:g} kg/m3"))  # fmt: skip
+        for name, value in self.elements.items():
+            found.append((name, f"{value:g}" if isinstance(value, float) else value,
+                          "m" if name.startswith("size_") else "mm:passing" if name == "sizes" else "", "",
+                          "shape" if name == "shapes" else "sieve" if given.sieve else "sizes",
+                          "as elements have it"))  # fmt: skip
+        return [dict(zip(COLUMNS, row, strict=True)) for row in found]
+
+    def table(self) -> str:
+        """What follows from the mix, as text."""
+        rows = [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows()]
+        wide = {name: max(len(row[name]) for row in rows) for name in COLUMNS[:-1]}
+        return "\n".join("  ".join([*(row[name].ljust(wide[name]) for name in wide), row["source"]]) for row in rows)
+
+
+def read_mix(name: Path | str) -> Mix:
+    """The mix that a file, or a shipped concrete of this name, describes.
+
+    Raises :class:`SceneError` for one that contradicts itself or does not say enough.
+    """
+    found = mix_in(concrete(str(name)))
+    if found is None:
+        refuse("mix", str(name), "has no section 'mix'", "see notebooks/mix.md for what one says")
+    return found
+
+
+def mix_named(name: str) -> Mix | None:
+    """The mix of a concrete by its name or path, if it is described as one; `own` is none."""
+    return None if name == "own" else mix_in(concrete(name))
+
+
+def mix_in(found: NamedConcrete) -> Mix | None:
+    """The mix of a concrete, if it is described as one; entries of its own section `flow` go before what follows."""
+    if found.mix is None:
+        return None
+    stated = known_only("flow", found.mix.flow, FLOW, found.name)
+    return mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
+
+
+def mix_of(
+    given: Mapping[str, Any], folder: Path = Path(), name: str = "mix", source: str = "",
+    stated: Mapping[str, float] | None = None,
+) -> Mix:  # fmt: skip
+    """A mix from the contents of a section `mix`; `folder` is where its files of points are, `stated` constants of the
+    flow that are taken as they are.
+    """
+    told = read(given, folder)
+    way = "sum of the parts" if told.summed else "density"
+    bulk = {"density": around("density", told.density, OFF if told.summed else 0.01, "kg/m3", way, "as given")}
+    bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
+    remarks = []
+    for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
+        tells = list(candidates) if wanted not in bulk else []
+        if tells:
+            bulk[wanted], more = agreed(tells)
+            remarks += more
+    if "yield stress" not in bulk:
+        refuse("mix", ", ".join(given), "does not tell the concrete's yield stress",
+               "give spread, slump, viscometer, mortar or concrete")  # fmt: skip
+    bulk.setdefault("viscosity", unknown_viscosity())
+    fluid = Concrete(
+        name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
+        yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0,
+    )  # fmt: skip
+    slip = {figure.name: figure for figure in layer(told, fluid)} | bulk
+    figures = [slip[each] for each in FLOW.values()]
+    return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
+
+
+def _named(key: str, value: Any) -> Figure:
+    """A constant that the section `flow` has."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        refuse(f"concrete flow {key}", value, "must be a number")
+    if key not in ("yield_stress", "slip_yield"):
+        positive(f"concrete flow {key}", value, UNITS[key])
+    return Figure(FLOW[key], value, value, value, UNITS[key], "flow", "as given")
+
+
+def completed(name: str) -> NamedConcrete:
+    """The concrete of a name or a path, with the sections that its mix stands for; what its own sections have goes
+    before that, and that before its base's.
+    """
+    found = concrete(name)
+    mix = mix_in(found)
+    if found.mix is None or mix is None:
+        return found
+    elements = {**found.elements, **mix.elements, **found.mix.elements}
+    return replace(found, elements=elements, flow={**found.flow, **mix.flow})

@@ -1,0 +1,196 @@
+"""Yield stress and viscosity of a mix's concrete, mortar and slip layer: what is measured, and what follows from the
+rest by published relations.
+
+Rheometers of different make read the same concrete differently (Ferraris & Brower 2001; RILEM TC 266-MRP 2023), so what
+a relation found beside one of them is not surer than that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from ..core.errors import refuse
+from ..theory.fits import StraightLine, straight_line
+from ..theory.inverse import (
+    viscosity_of_t500,
+    viscosity_of_t500_sedran,
+    yield_of_heap,
+    yield_of_long_heap,
+    yield_of_slump,
+    yield_of_slump_measured,
+)
+from ..theory.pipe import CONCRETES, Concrete, Line, measured_layer
+from ..theory.suspension import SUSPENSIONS, thickening
+from .figures import Figure, around
+from .given import PACKED, Given, Measured
+
+RHEOMETER = 0.2
+"""Of constants that were given without an uncertainty."""
+TRIBOMETER = 0.15
+"""Likewise of a slip layer's: pressures follow from measured ones within 15 % (Mai et al. 2014)."""
+READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
+"""By which slump [m], spread [m] and T500 [s] may be misread (EN 12350-2 and -8: repeatability of 16 to 42 mm)."""
+ROUGHEST, EASIEST = (3.25, PACKED), (2.5, 0.65)
+"""Intrinsic viscosity and densest packing at the ends of the band: of rough grains (ground gypsum; Barnes, Hutton &
+Walters 1989) in the packing of equal balls (Mahaut et al. 2008), and of spheres of mixed sizes."""
+SLOWER = 1.3
+"""Factor by which T500's relation is off for lifts of 1 to 3 s and for inertia, measured."""
+UNKNOWN = (70.0, 20.0, 400.0)
+"""Plastic viscosity that nothing tells [Pa s], and its band."""
+LAYER_OFF = 3.0
+"""Factor by which a slip layer that was not measured may be off, either way."""
+TWICE = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26, 10: 2.23}
+"""Standard errors within which 95 % lie, by the points beyond two (Student's t)."""
+
+
+def yield_stresses(given: Given) -> Iterator[Figure]:
+    """What the mix tells of the concrete's yield stress, best first."""
+    yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
+    if given.sheared is not None:
+        yield _offset("yield stress", given.sheared, "Pa", "viscometer")
+    if (own := _mortar(given, "yield_stress", "Pa")) is not None:
+        yield _thickened(own, given, 1, "Chateau, Ovarlez & Trung 2008")
+    if given.spread is not None:
+        at = [given.spread + off for off in (READ_SPREAD, 0.0, -READ_SPREAD)]
+        yield Figure("yield stress", yield_of_heap(at[1], given.density), yield_of_heap(at[0], given.density),
+                     yield_of_long_heap(at[2], given.density), "Pa", f"spread of {1e3 * given.spread:.4g} mm",
+                     "heap that resists its stretch; upper end Roussel & Coussot 2005", "cone")  # fmt: skip
+    if given.slump is not None:
+        at = [given.slump + off for off in (READ_SLUMP, 0.0, -READ_SLUMP)]
+        value = yield_of_slump(at[1], given.density)
+        yield Figure("yield stress", value, yield_of_slump(at[0], given.density, 2.0),
+                     yield_of_slump_measured(at[2], given.density),
+                     "Pa", f"slump of {1e3 * given.slump:.4g} mm",
+                     "tall cone (Murata 1984, von Mises; lower end Tresca); upper end Ferraris & de Larrard 1998",
+                     "cone")  # fmt: skip
+
+
+def viscosities(given: Given) -> Iterator[Figure]:
+    """What the mix tells of the concrete's plastic viscosity, best first."""
+    yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
+    if given.sheared is not None:
+        yield _slope("viscosity", given.sheared, "Pa s", "viscometer")
+    if (own := _mortar(given, "viscosity", "Pa s")) is not None:
+        yield _thickened(own, given, 0, "Krieger & Dougherty 1959")
+    if given.t500 is not None and given.spread is not None:
+        value = viscosity_of_t500(given.t500, given.spread, given.density)
+        late, early = 1 + READ_TIME / given.t500, max(1 - READ_TIME / given.t500, 0.1)
+        highest = max(SLOWER * value, viscosity_of_t500_sedran(given.t500, given.spread, given.density))
+        yield Figure("viscosity", value, early * value / SLOWER, late * highest, "Pa s",
+                     f"T500 of {given.t500:g} s and spread",
+                     "simulated here; upper end Sedran & de Larrard 1999", "cone")  # fmt: skip
+
+
+def unknown_viscosity() -> Figure:
+    """Where nothing tells it."""
+    return Figure("viscosity", *UNKNOWN, "Pa s", "nothing: a guess",
+                  "Banfill 2003: 20 to 100 of most concretes; Xu, Li & Jiang 2021: 297 to 397")  # fmt: skip
+
+
+def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
+    """Viscosity and yield stress of the mortar, where the share of coarse aggregate in it is known."""
+    found = []
+    if given.share is None:
+        return found
+    for name, key, unit, place in (("viscosity", "viscosity", "Pa s", 0), ("yield stress", "yield_stress", "Pa", 1)):
+        own = _mortar(given, key, unit)
+        if own is None:
+            whole, (value, least, most) = bulk[name], (f[place] for f in _factors(given.share))
+            own = Figure("", whole.value / value, whole.low / most, whole.high / least, unit,
+                         f"{name} of the concrete, {given.share:.3g} of aggregate",
+                         "Krieger & Dougherty 1959; Chateau, Ovarlez & Trung 2008")  # fmt: skip
+        found.append(replace(own, name=f"mortar's {name}"))
+    rest = (concrete.density - given.share * given.aggregate_density) / (1 - given.share)
+    density = around("mortar's density", rest, 0.03, "kg/m3", "density and aggregate", "what is left of the volume")
+    return [density, *found]
+
+
+def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
+    """Viscous constant and yield stress of the slip layer: as measured, or guessed from what others measured."""
+    own = given.layer
+    if own.constants is not None:
+        off = TRIBOMETER if own.constants.uncertainty is None else own.constants.uncertainty
+        eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))
+        source = "as given" + ("" if own.constants.uncertainty is not None else "; 15 % as Mai et al. 2014")
+        return (around("slip viscosity", eta, off, "Pa s/m", "layer", source),
+                around("slip yield", tau, off, "Pa", "layer", source))  # fmt: skip
+    if own.pumped is not None:
+        flows, pressures = own.pumped
+        line = Line(radius=own.diameter / 2, length=own.length, rise=own.rise / own.length)
+        fit = measured_layer(concrete, line, flows, pressures)
+        way = f"{len(flows)} points of a pipe of {1e3 * own.diameter:g} mm"
+        return _fitted_layer(fit, len(flows), way)
+    if own.slipped is not None:
+        speeds, stresses = own.slipped
+        return _fitted_layer(straight_line(speeds, stresses), len(speeds), f"{len(speeds)} points of a tribometer")
+    known = CONCRETES.values()
+    eta = sum(each.slip_viscosity for each in known) / len(CONCRETES)
+    # What yields in the layer is the concrete without its stones: no later than the concrete.
+    tau = min(sum(each.slip_yield for each in known) / len(CONCRETES), concrete.yield_stress)
+    source = f"a guess, off by a factor of {LAYER_OFF:g} either way: measure it"
+    return (
+        Figure("slip viscosity", eta, eta / LAYER_OFF, eta * LAYER_OFF, "Pa s/m",
+               "nothing: mean of Xu, Li & Jiang 2021", source),
+        Figure("slip yield", tau, tau / LAYER_OFF, tau * LAYER_OFF, "Pa",
+               "nothing: theirs, or the concrete's if less", source),
+    )  # fmt: skip
+
+
+def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:
+    if key in given.values:
+        off = RHEOMETER if given.uncertainty is None else given.uncertainty
+        source = "as given" + ("" if given.uncertainty is not None else "; what a rheometer may be off by")
+        yield around(key.replace("_", " "), given.values[key], off, unit, way, source)
+
+
+def _mortar(given: Given, key: str, unit: str) -> Figure | None:
+    return next(_stated(given.mortar, key, unit, "mortar"), None)
+
+
+def _factors(share: float) -> tuple[tuple[float, float], ...]:
+    """What aggregate makes of viscosity and yield stress: most likely, least and most."""
+    return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], EASIEST, ROUGHEST))
+
+
+def _thickened(own: Figure, given: Given, place: int, source: str) -> Figure:
+    """Of the concrete, from its mortar's."""
+    assert given.share is not None
+    value, least, most = (each[place] for each in _factors(given.share))
+    return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,
+                  f"mortar with {given.share:.3g} of aggregate", source)  # fmt: skip
+
+
+def _off(error: float, count: int, value: float, default: float) -> float:
+    """By which a number from a line through points may be off."""
+    if count < 3:
+        return default * abs(value)
+    return TWICE.get(count - 2, 2.1) * error
+
+
+def _slope(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+    fit, count = straight_line(*points), len(points[0])
+    off = _off(fit.slope_error, count, fit.slope, RHEOMETER)
+    return _of_line(name, fit.slope, off, unit, way, count)
+
+
+def _offset(name: str, points: tuple[list[float], list[float]], unit: str, way: str) -> Figure:
+    fit, count = straight_line(*points), len(points[0])
+    off = _off(fit.offset_error, count, fit.offset, RHEOMETER)
+    return _of_line(name, fit.offset, off, unit, way, count)
+
+
+def _fitted_layer(fit: StraightLine, count: int, way: str) -> tuple[Figure, Figure]:
+    slope_off = _off(fit.slope_error, count, fit.slope, TRIBOMETER)
+    offset_off = _off(fit.offset_error, count, fit.offset, TRIBOMETER)
+    return (_of_line("slip viscosity", fit.slope, slope_off, "Pa s/m", way, count),
+            _of_line("slip yield", fit.offset, offset_off, "Pa", way, count))  # fmt: skip
+
+
+def _of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
+    viscous = unit.startswith("Pa s")
+    if value < 0 or (viscous and value == 0):
+        refuse(f"mix {name}", round(value, 6), f"is what the line through {way} asks for, and nothing has it",
+               "look at the points and their units")  # fmt: skip
+    source = "straight line, 95 %" if count > 2 else "straight line; two points do not tell how far it is off"
+    return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)
