@@ -186,7 +186,7 @@ def test_table_csv_and_figure_of_a_study_read_back(tmp_path):
         for k, (v, d) in enumerate([(0.1, 0.1), (0.5, 0.1), (0.1, 0.2)])
     ]
     study = study_of(tmp_path, cases, [(20e3, 10e3), (80e3, 40e3), (200e3, 5e3)])
-    lines = study.table().splitlines()
+    lines = study.markdown().splitlines()
     assert lines[0] == "| velocity [m/s] | diameter [m] | peak [kPa] | plateau [kPa] | runs | failed | suspect |"
     assert lines[2] == "| 0.1 | 0.1 | 20.00 | 10.00 | 1 | 0 | 0 |"
     study.write()

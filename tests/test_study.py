@@ -40,7 +40,8 @@ def test_a_study_runs_and_never_repeats_a_finished_case(device, tmp_path):
         "pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE, out=out, repeat=2, device=device, processes=2
     )
     assert study.finished and not study.failures and len(study.results) == 4
-    assert {p.name for p in out.iterdir() if p.is_file()} == {"study.json", "study.csv", "study.md", "study.png"}
+    assert {p.name for p in out.iterdir() if p.is_file()} == {"study.json", "study.csv", "study.md", "study.png",
+                                                           "study.parquet"}  # fmt: skip
     rows = study.rows()
     assert [row["velocity"] for row in rows] == [0.3, 0.6] and all(row["runs"] == 2 for row in rows)
     seeds = [study.results[c.name]["peak_pressure"]["value"] for c in study.cases if c.varied == {"velocity": 0.3}]

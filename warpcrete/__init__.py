@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from . import scenes
     from .dem.scene import Scene
     from .methods import Simulation
-    from .record.loading import load
     from .studies.calibrate import calibrate
     from .studies.explain import explain
+    from .studies.loading import load
     from .studies.trade import trade
 
 __all__ = [
@@ -47,7 +47,7 @@ __all__ = [
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
 _LAZY |= {
-    "load": "record.loading",
+    "load": "studies.loading",
     "trade": "studies.trade",
     "explain": "studies.explain",
     "calibrate": "studies.calibrate",
@@ -67,4 +67,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_LAZY})
+    return sorted({*__all__, *_LAZY})

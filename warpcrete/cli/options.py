@@ -87,12 +87,15 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--threads"], type=click.IntRange(1, 1024), help="of a CPU run  [default: one a core]"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
-        click.Option(["--frames"], type=float, default=25.0, show_default=True,
-                     help="recorded frames a simulated second, at most one a sample"),
+        click.Option(["--frames"], type=float,
+                     help="recorded frames a simulated second, at most one a sample, or of flows one a step  [default: "
+                     "25, and 30 in a run at least]"),
         click.Option(["--colour"], type=click.Choice(colourings),
-                     help="aggregates by speed, size or force; flows by speed, pressure, phase or rate of shear  "
-                     "[default: shear of what has a surface, phase where there are two, else speed]"),
-        click.Option(["--network"], is_flag=True, help="record contacts and bonds as lines"),
+                     help="aggregates by force, speed or size; flows by speed, pressure, phase or rate of shear  "
+                     "[default: force of aggregates, shear of what has a surface, phase where there are two, else "
+                     "speed]"),
+        click.Option(["--network"], is_flag=True,
+                     help="record force chains, as wide as contacts press, and bonds"),
         *(
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)
             for kind in RECORDERS

@@ -74,7 +74,8 @@ def run(
     if not going_on:
         check_new(folder)
     frames, every = settings["frames"], settings["checkpoint_every"]
-    positive("frames", frames, "1/s")
+    if frames is not None:
+        positive("frames", frames, "1/s")
     between("checkpoint_every", every, 0, float("inf"), "s")
     precision = settings["precision"]
     if "precision" in declared_fields(module.scene.parameters):
@@ -99,7 +100,7 @@ def run(
         precision=precision,
         threads=settings["threads"],
         recorders=recorders_of(folder, module.check, settings, look, {key: settings[key] for key in KEPT}),
-        frame_interval=1.0 / frames,
+        frame_interval=None if frames is None else 1.0 / frames,
         progress=False if settings["quiet"] else progress,
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,

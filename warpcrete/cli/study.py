@@ -98,7 +98,7 @@ def report(study: Study) -> None:
     """Print the table and what failed."""
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
-        click.echo(study.table())
+        click.echo(study.markdown())
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
     done = len(study.results) + len(study.failures)
@@ -165,7 +165,7 @@ def _begun(
         device=settings.get("device"),
         precision=settings.get("precision", PRECISIONS[0]),
         **_where(settings),
-        frames=settings.get("frames", 25.0),
+        frames=settings.get("frames"),
         checkpoint_every=settings.get("checkpoint-every", 60.0),
         progress=tell,
         **{name: settings[name] for name in RECORDED},

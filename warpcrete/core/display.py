@@ -93,6 +93,41 @@ class Plot:
 
 
 @dataclass(frozen=True)
+class Points:
+    """A curve over a place, at the moment that is drawn."""
+
+    name: str
+    """Of its path below the profile's."""
+    read: Callable[[], tuple[np.ndarray, np.ndarray]]
+    """Places and values, both (n,), in the units of the profile's title."""
+    colour: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Curves over a place, one over another."""
+
+    path: str
+    title: str
+    """With what is drawn over what, and the units."""
+    curves: tuple[Points, ...]
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines between bodies."""
+
+    ends: np.ndarray
+    """[m], shape (n, 2, 3)."""
+    forces: np.ndarray
+    """That they carry [N], shape (n,)."""
+    radii: np.ndarray
+    """[m], shape (n,)."""
+    colours: np.ndarray
+    """RGB bytes, shape (n, 3)."""
+
+
+@dataclass(frozen=True)
 class Moment:
     """What a display draws, taken from a run that goes on."""
 
@@ -188,6 +223,18 @@ class Display(ABC):
     def plots(self) -> tuple[Plot, ...]:
         """Curves beside the scene."""
 
+    def profiles(self) -> tuple[Profile, ...]:
+        """Curves over the radius, or along the way, beside the scene."""
+        return ()
+
+    def scale(self) -> tuple[str, float, float] | None:
+        """What colours show, with its unit as read, and its values at both ends; None for colours of things."""
+        return None
+
+    def things(self) -> dict[str, np.ndarray]:
+        """RGB bytes (3,) of what colours tell apart, by name, where they show no quantity."""
+        return {}
+
     @abstractmethod
     def walls(self) -> list[DrawnWall]:
         """Walls that can be drawn."""
@@ -219,9 +266,17 @@ class Display(ABC):
         """RGB bytes of all bodies, shape (n, 3)."""
         return self.colours()
 
-    def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
-        """Lines between bodies by name: ends [m], shape (n, 2, 3), and their colour."""
+    def network(self) -> dict[str, Lines]:
+        """Lines between bodies by name, wide and coloured by the force that they carry."""
         return {}
+
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y [m] of an upright plane through the middle, behind which one sees the inside; None: it is open
+        already.
+        """
+        lower, upper = self.bounds()
+        return float(0.5 * (lower[1] + upper[1]))
 
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
         """A place for the eye and the point to look at, both (3,) [m]: from one side, `distance` sizes away."""

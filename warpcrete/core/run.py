@@ -6,6 +6,7 @@ import difflib
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .errors import RunFolderError, WarpcreteError, refuse
+from .html import html_table
 from .units import number, shown
 
 COURSES = ("pressure", "spread", "front", "inside")
@@ -84,17 +86,7 @@ class Run:
 
         Raises :class:`WarpcreteError` where pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise WarpcreteError(
-                "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
-            ) from None
-        found = pandas.DataFrame(self.series)
-        if "time" in found:
-            found = found.set_index("time")
-        found.attrs["units"] = dict(self.units)
-        return found
+        return dataframe(self.series, self.units, "time")
 
     def plot(self, *columns: str, against: str = "time") -> Any:
         """Matplotlib figure of columns of the series over another one; those of one unit share an axis.
@@ -140,11 +132,28 @@ class Run:
         rows = []
         for name, entry in self.result.items():
             if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
-                rows.append(f"<tr><td>{name}</td><td>{entry['value']:.6g} {entry['unit']}</td></tr>")
+                rows.append((name, f"{entry['value']:.6g} {entry['unit']}"))
             elif isinstance(entry, bool | int | float | str):
-                text = f"{entry:.6g}" if isinstance(entry, float) else entry
-                rows.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
-        return f"<table>{''.join(rows)}</table>"
+                rows.append((name, f"{entry:.6g}" if isinstance(entry, float) else entry))
+        return html_table(rows)
+
+
+def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) -> Any:
+    """A pandas DataFrame with a column as index, if it is there, and the units of the columns in `attrs["units"]`.
+
+    Raises :class:`WarpcreteError` where pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise WarpcreteError(
+            "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
+        ) from None
+    found = pandas.DataFrame(dict(columns))
+    if index in found:
+        found = found.set_index(index)
+    found.attrs["units"] = dict(units)
+    return found
 
 
 def viewer(run: Path, web: bool = False) -> list[str]:

@@ -18,7 +18,8 @@ import numpy as np
 from . import checkpoint
 from .device import checked_threads, find_device, scalar_of
 from .display import Display
-from .errors import RunFolderError, WarpcreteError, between, positive, refuse
+from .errors import RunFolderError, WarpcreteError, between, refuse
+from .frames import Frames
 from .launching import telling
 from .progress import ProgressBar
 from .run import Run
@@ -82,9 +83,10 @@ class Simulation:
 
     Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
     `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
-    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames;
-    `progress` True for a bar, or a callback; `checkpoint_path` of a file that is written at the start, then every
-    `checkpoint_every` seconds of wall time (0: at every sample) and at an interruption, and removed at the end.
+    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames,
+    None for as many as :class:`warpcrete.core.frames.Frames` says; `progress` True for a bar, or a callback;
+    `checkpoint_path` of a file that is written at the start, then every `checkpoint_every` seconds of wall time (0: at
+    every sample) and at an interruption, and removed at the end.
     Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
     :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
     """
@@ -127,12 +129,11 @@ class Simulation:
         precision: str | None = None,
         threads: int | None = None,
         recorders: Sequence[Recorder] = (),
-        frame_interval: float = 0.04,
+        frame_interval: float | None = None,
         progress: Progress | bool = False,
         checkpoint_path: Path | None = None,
         checkpoint_every: float = 60.0,
     ) -> None:
-        positive("frame_interval", frame_interval, "s")
         between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
         self.scene = scene
         self.device = find_device(device)
@@ -140,7 +141,6 @@ class Simulation:
         scalar_of(self.precision)
         self.threads = checked_threads(threads)
         self.recorders = list(recorders)
-        self.frame_interval = frame_interval
         self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
         self.stop_requested = False
         self.finishing = False
@@ -151,8 +151,8 @@ class Simulation:
         self._ran = False
         self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
         self._samples = 0  # rows after the one at t = 0
-        self._next_frame = frame_interval
         self._resumed: dict[str, Any] | None = None
+        self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
 
     def __repr__(self) -> str:
@@ -215,6 +215,16 @@ class Simulation:
         """Simulated time of the whole run, at most [s]."""
         return self.scene.duration
 
+    @property
+    def expected_duration(self) -> float:
+        """Simulated time that the run will take, about [s]."""
+        return self.duration
+
+    @property
+    def frame_step(self) -> float:
+        """Size of the steps [s], if they are the same wherever the run stops: frames may lie between samples then."""
+        return np.inf
+
     def ended_early(self) -> bool:
         """The run may end before its duration."""
         return False
@@ -231,7 +241,7 @@ class Simulation:
         contents["run"] = {
             "recorders": {_kind(r): r.checkpoint(self) for r in self.recorders} if self._ran else {},
             "samples": self._samples,
-            "next_frame": self._next_frame,
+            "next_frame": self.frames.next,
             "spent": self._spent | {"running": self._running()},
         }
         checkpoint.write(path, self.scene, self.device, self.precision, contents)
@@ -248,7 +258,7 @@ class Simulation:
         """The `state_dict` of a checkpoint; clocks go on from there."""
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
         self._resumed = run = contents["run"]
-        self._samples, self._next_frame = run["samples"], run["next_frame"]
+        self._samples, self.frames.next = run["samples"], run["next_frame"]
         self._spent = run["spent"]
         self._ran_before = self._spent["running"]
         return contents
@@ -309,8 +319,7 @@ class Simulation:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if not self.rows:
             self._sample()
-            for recorder in self.recorders:
-                recorder.frame(self)
+            self._frame()
             self._checkpoint()
         else:
             self._saved = wall_clock.perf_counter()
@@ -319,14 +328,16 @@ class Simulation:
             if self.stop_requested:
                 self._checkpoint()
                 return False
-            yield from self.reaching(min(number * interval, duration))
+            goal = min(number * interval, duration)
+            while self.recorders and self.frames.before(goal):
+                yield from self.reaching(self.frames.next)
+                self._frame()
+            yield from self.reaching(goal)
             self._samples = number
             row = self._sample()
             ended = self.ended_early()
-            if stepper.time >= self._next_frame - 1e-9 or number == samples or ended:
-                for recorder in self.recorders:
-                    recorder.frame(self)
-                self._next_frame = self.frame_interval * (np.floor(stepper.time / self.frame_interval + 1e-9) + 1)
+            if self.frames.due(stepper.time) or number == samples or ended:
+                self._frame()
             if ended:
                 return True
             if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
@@ -345,6 +356,11 @@ class Simulation:
             recorder.sample(self, row)
         self.watch_row(row)
         return row
+
+    def _frame(self) -> None:
+        for recorder in self.recorders:
+            recorder.frame(self)
+        self.frames.taken(self.stepper.time)
 
     def _checkpoint(self) -> None:
         if self.checkpoint_path is not None:

@@ -13,28 +13,38 @@ from ..core.display import (
     Curve,
     Display,
     DrawnWall,
+    Lines,
     Plot,
+    Points,
     Pose,
+    Profile,
     Prototype,
     RigidBodies,
     on_palette,
 )
 from ..geometry.walls import Prescribed
-from .probes import chunks_of, largest_forces, pairs_of
+from .probes import chunks_of, largest_of, listed_forces, pairs_of
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
 """Over the colours of wear: stones are to be seen through it a little."""
 WEAR_PALETTE = "magma_r"
 """Another one than that of stones; pale where nothing is worn."""
-CONTACTS, BONDS = (130, 130, 130), (230, 140, 30)
+BONDS = (230, 140, 30)
+OURS = (215, 95, 30)
+STRONGEST, THINNEST = 0.12, 0.04
+"""Of the largest aggregate, a chain's radius at the top of the colours' scale; of that, one that carries nothing."""
+RINGS = 10
+"""Of a velocity profile from axis to wall."""
+STRETCH = (0.2, 0.8)
+"""Part of the concrete's length that a velocity profile is taken over."""
 ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
 
 
 class ElementDisplay(Display):
-    """Aggregates by speed, size or largest contact force; every clump is drawn by its own spheres."""
+    """Aggregates by largest contact force, speed or size; every clump is drawn by its own spheres."""
 
-    colourings: ClassVar = ("speed", "size", "force")
+    colourings: ClassVar = ("force", "speed", "size")
     noun: ClassVar = "aggregates"
     has_network: ClassVar = True
 
@@ -47,9 +57,11 @@ class ElementDisplay(Display):
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Top of the colour scale: 1.5 times the steady speed, the largest size, a strong contact force."""
+        """Top of the colour scale: a strong contact force, 1.5 times the steady speed, the largest size."""
         scene = self.simulation.scene
         largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
+        self._thick = STRONGEST * largest
+        self._strong = 0.05 * scene.contact.stress_scale * largest**2
         if self.colouring == "size":
             return largest
         if self.colouring == "speed":
@@ -57,7 +69,15 @@ class ElementDisplay(Display):
             speeds = [float(np.linalg.norm(motion.velocity)) for motion in motions]
             nominal = scene.pipe.velocity if scene.pipe is not None else max(speeds, default=0.0)
             return 1.5 * float(nominal) if nominal else 1.0
-        return 0.05 * scene.contact.stress_scale * largest**2
+        return self._strong
+
+    def scale(self) -> tuple[str, float, float]:
+        """What colours show, with its lowest and highest value."""
+        if self.colouring == "size":
+            return "size [mm]", 0.0, 1e3 * self._upper
+        if self.colouring == "speed":
+            return "speed [cm/s]", 0.0, 100 * self._upper
+        return "largest contact force on each [N]", 0.0, self._upper
 
     def _sphere_order(self) -> np.ndarray:
         return np.argsort(self.read("spheres.id"))
@@ -80,11 +100,22 @@ class ElementDisplay(Display):
 
     def fields(self) -> dict[str, np.ndarray]:
         """Of every sphere its body's number, velocity [m/s] and largest contact force [N]."""
-        model, state = self.simulation.model, self.simulation.state
         place = self.read("spheres.body")[self._sphere_order()]
-        force = self.once("largest forces", lambda: largest_forces(model, state))
-        velocity = self.read("bodies.velocity")
+        velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
+
+    def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Places of both spheres of every listed pair, its place in the pair arrays, its normal force [N]."""
+        model, state = self.simulation.model, self.simulation.state
+        force = self.once("pair forces", lambda: listed_forces(model, state))
+        chunks = self.once("chunks", lambda: chunks_of(state))
+        i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
+        return i, j, place, force[place]
+
+    def _largest_forces(self) -> np.ndarray:
+        """On each body [N], in the order of the state's arrays."""
+        i, j, _, force = self._pair_forces()
+        return largest_of(i, j, force, self.read("spheres.body"), len(self.read("bodies.id")))
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""
@@ -94,8 +125,7 @@ class ElementDisplay(Display):
         elif self.colouring == "speed":
             values = np.linalg.norm(self.read("bodies.velocity")[order].astype(float), axis=1)
         else:
-            model, state = self.simulation.model, self.simulation.state
-            values = self.once("largest forces", lambda: largest_forces(model, state))[order]
+            values = self._largest_forces()[order]
         return on_palette(values, self._upper)
 
     def plots(self) -> tuple[Plot, ...]:
@@ -106,6 +136,31 @@ class ElementDisplay(Display):
         )  # fmt: skip
         energies = tuple(Curve(name, label, lambda row, n=name: row[n]) for name, label in ENERGIES.items())
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Velocity over the radius of a pipe."""
+        if self.simulation.scene.pipe is None:
+            return ()
+        title = "Velocity [cm/s] over radius [mm]"
+        return (Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)),)
+
+    def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;
+        rings without bodies are left out.
+        """
+        pipe = self.simulation.scene.pipe
+        places, along = pipe.axis.projected(self.read("bodies.position"))
+        low, high = np.quantile(along, STRETCH) if len(along) else (0.0, 0.0)
+        inner = (along >= low) & (along <= high)
+        distance = np.linalg.norm(self.read("bodies.position")[inner] - places[inner], axis=1)
+        _, tangent = pipe.axis.at(along[inner])
+        velocity = np.sum(self.read("bodies.velocity")[inner, :3] * tangent, axis=1)
+        volume = self.read("bodies.size")[inner].astype(float) ** 3
+        ring = np.minimum((RINGS * distance / pipe.radius).astype(int), RINGS - 1)
+        weight = np.bincount(ring, volume, RINGS)
+        there = weight > 0
+        mean = np.bincount(ring, volume * velocity, RINGS)[there] / weight[there]
+        return 1e3 * pipe.radius * (np.arange(RINGS)[there] + 0.5) / RINGS, 100 * mean
 
     def walls(self) -> list[DrawnWall]:
         """Walls that can be drawn: endless planes cannot."""
@@ -155,10 +210,9 @@ class ElementDisplay(Display):
         order = self._body_order()
         return Pose(*(self.read(f"bodies.{name}")[order] for name in ("position", "orientation", "velocity")))
 
-    def network(self) -> dict[str, tuple[np.ndarray, tuple[int, int, int]]]:
+    def network(self) -> dict[str, Lines]:
         """Touching pairs that are not bonded, and bonds."""
-        chunks = self.once("chunks", lambda: chunks_of(self.simulation.state))
-        i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
+        i, j, place, force = self._pair_forces()
         position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
         touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
@@ -166,10 +220,13 @@ class ElementDisplay(Display):
         if self.simulation.model.features.bonds:
             bonded = self.read("pairs.bond")[place] > 0
 
-        def lines(chosen: np.ndarray) -> np.ndarray:
-            return np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
+        def lines(chosen: np.ndarray) -> Lines:
+            ends = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
+            radii = self._thick * np.clip(force[chosen] / self._strong, THINNEST, 1)
+            colours = np.where(force[chosen, None] > 0, on_palette(force[chosen], self._strong), BONDS)
+            return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
-        return {"contacts": (lines(touching & ~bonded), CONTACTS), "bonds": (lines(bonded), BONDS)}
+        return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
 
     def bounds(self) -> np.ndarray:
         """Lowest and highest corner of the pipe's axis, or of all spheres, shape (2, 3) [m]."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.device import PRECISIONS
 from ..core.errors import between, one_of, positive, refuse, vector
+from ..core.html import Parametrised
 from ..core.parameters import Above, Declared, Within
 from ..geometry.axis import Axis
 from ..geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
@@ -346,7 +347,7 @@ class Published:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Scene:
+class Scene(Parametrised):
     """Everything that a simulation of discrete elements needs to know, in SI units."""
 
     name: str

@@ -153,7 +153,7 @@ class _Spheres:
         position = state.spheres.position.numpy().astype(float)[self.order]
         body = state.spheres.body.numpy()[self.order]
         self.centre, self.radius, self.body = position[:, :3], position[:, 3], body
-        self.nearest, self.s = axis.placed(self.centre)
+        self.nearest, self.s = axis.projected(self.centre)
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
         self.solid = state.bodies.group.numpy()[body] == 0
@@ -204,7 +204,7 @@ def _stresses(stations: Stations, model: Model, state: State, spheres: _Spheres)
     Both are positive where contacts push.
     """
     edges, axis = np.array(stations.edges), stations.axis
-    body_s = axis.placed(spheres.middle)[1]
+    body_s = axis.projected(spheres.middle)[1]
     _probe(model, state)
     push = _arrays(state)[0].numpy()
     i, j, place = listed_pairs(state)
@@ -221,7 +221,7 @@ def _stresses(stations: Stations, model: Model, state: State, spheres: _Spheres)
         here = np.any(arms[:, slot] != 0, axis=1)
         point = spheres.centre[here] + arms[here, slot]
         middle = spheres.middle[spheres.body[here]]
-        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.placed(point)[1], pushes[here, slot],
+        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.projected(point)[1], pushes[here, slot],
                               point - middle)  # fmt: skip
     return total
 

@@ -112,14 +112,14 @@ class Axis:
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
         """Point of the axis, its straight extensions included, that is nearest to each of `points`, shape (n, 3)."""
-        return self.placed(points)[0]
+        return self.projected(points)[0]
 
     def along(self, points: np.ndarray) -> np.ndarray:
         """Arc length of that point of the axis [m], negative before its start, shape (n,)."""
-        return self.placed(points)[1]
+        return self.projected(points)[1]
 
-    def placed(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both of them."""
+    def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both :meth:`nearest` and :meth:`along` of points."""
         points = np.atleast_2d(np.asarray(points, dtype=float))
         best, distance = np.zeros_like(points), np.full(len(points), np.inf)
         length = np.zeros(len(points))

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.display import Curve, Display, DrawnWall, Plot, on_palette
+from ..core.display import Curve, Display, DrawnWall, Plot, Points, Profile, on_palette
 from ..geometry.axis import Axis, Line
 from ..theory.pipe import velocity
-from .probes import Snapshot
+from .probes import MIDDLE, Snapshot, over_radius
 
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
@@ -66,6 +66,10 @@ class FlowDisplay(Display):
             return "velocity [cm/s]", 100 * theory.slip_velocity, 100 * centre
         return None
 
+    def things(self) -> dict[str, np.ndarray]:
+        """Grains and mortar, where colours show these."""
+        return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
+
     def _snap(self) -> Snapshot:
         return self.once("particles", lambda: Snapshot.of(self.simulation.flow))
 
@@ -102,6 +106,33 @@ class FlowDisplay(Display):
                 Curve("theory", "theory", lambda row: 100 * theory.slip_velocity, THEORY),
             )),
         )  # fmt: skip
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Velocity amid the column over the distance from the middle, beside theory."""
+        place = "distance from the middle" if self.simulation.scene.dimensions == 2 else "radius"
+        title = f"Velocity [cm/s] over {place} [mm]"
+        return (Profile("velocity", title, (
+            Points("this run", self._velocities, OURS), Points("theory", self._expected, THEORY),
+        )),)  # fmt: skip
+
+    def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
+        snap, layout, radius = self._snap(), self.simulation.state.layout, self.simulation.scene.radius
+        part = snap.height / layout.height
+        middle = (part > MIDDLE[0]) & (part < MIDDLE[1])
+        bins = max(2, round(radius / layout.spacing))
+        place, mean = over_radius(snap.distance[middle], snap.velocity[middle], radius, bins)
+        return 1e3 * place, 100 * mean
+
+    def _expected(self) -> tuple[np.ndarray, np.ndarray]:
+        scene = self.simulation.scene
+        place = self._velocities()[0]
+        bulk = np.minimum(1e-3 * place, scene.radius - scene.line.slip_thickness)
+        return place, 100 * velocity(scene.concrete, scene.line, scene.theory(), bulk)
+
+    @property
+    def cut(self) -> float | None:
+        """Through the axis of a tube; a channel is flat."""
+        return None if self.simulation.scene.dimensions == 2 else 0.0
 
     def walls(self) -> list[DrawnWall]:
         """The pipe, or the two planes."""

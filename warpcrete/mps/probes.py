@@ -156,12 +156,18 @@ def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.nda
     """
     snap, layout = Snapshot.of(flow), flow.state.layout
     chosen = np.abs(snap.height - height) < 1.5 * layout.spacing
-    edges = np.linspace(0, flow.scene.radius, (bins or max(2, round(flow.scene.radius / layout.spacing))) + 1)
-    place = np.clip(np.searchsorted(edges, snap.distance[chosen], side="right") - 1, 0, len(edges) - 2)
-    count = np.bincount(place, minlength=len(edges) - 1)
+    bins = bins or max(2, round(flow.scene.radius / layout.spacing))
+    return over_radius(snap.distance[chosen], snap.velocity[chosen], flow.scene.radius, bins)
+
+
+def over_radius(distance: np.ndarray, values: np.ndarray, radius: float, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means of distance and values in each of `bins` rings of equal width up to `radius`; empty ones are left out."""
+    edges = np.linspace(0, radius, bins + 1)
+    place = np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(place, snap.velocity[chosen], len(edges) - 1) / count
-        middle = np.bincount(place, snap.distance[chosen], len(edges) - 1) / count
+        mean = np.bincount(place, values, bins) / count
+        middle = np.bincount(place, distance, bins) / count
     return middle[count > 0], mean[count > 0]
 
 

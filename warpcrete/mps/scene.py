@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.device import PRECISIONS
 from ..core.errors import between, one_of, positive, refuse
+from ..core.html import Parametrised
 from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
@@ -126,7 +127,7 @@ def check_interval(scene: Any) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class FluidScene(FlowSettings):
+class FluidScene(Parametrised, FlowSettings):
     """A column of concrete in a pipe, driven from below by a piston at constant speed; SI units."""
 
     name: str

@@ -26,6 +26,8 @@ from .state import FluidState
 from .watch import WatchedFlow
 
 LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
+SETTLES = 0.03
+"""Time in which a flow becomes steady, about [s]."""
 PROFILES = (0.2, 0.5, 0.8)
 """Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
 BREAKING = 6.0
@@ -64,6 +66,16 @@ class FluidSimulation(FlowRun):
             return self.scene.duration
         breaking = BREAKING * self.scene.breakdown / self.scene.velocity if self.scene.gained else 0.0
         return max(LONGEST, breaking)
+
+    @property
+    def expected_duration(self) -> float:
+        """Simulated time that the run will take, about [s]."""
+        return SETTLES if self.scene.duration is None else self.scene.duration
+
+    @property
+    def frame_step(self) -> float:
+        """Particles alone take steps of one size."""
+        return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
         """Unit of a column of the series."""

@@ -75,10 +75,12 @@ class ParaViewRecorder(Recorder):
             self._draw_walls(time)
         if display.has_network:
             lines = display.network()
-            ends = np.concatenate([pairs.reshape(-1, 2, 3) for pairs, _ in lines.values()])
-            bonded = np.repeat([name == "bonds" for name in lines], [len(pairs) for pairs, _ in lines.values()])
+            ends = np.concatenate([each.ends.reshape(-1, 2, 3) for each in lines.values()])
+            bonded = np.repeat([name == "bonds" for name in lines], [len(each.ends) for each in lines.values()])
+            force = np.concatenate([each.forces for each in lines.values()]).astype(np.float32)
             pairs = np.arange(2 * len(ends)).reshape(-1, 2)
-            self._files["contacts"].add(time, ends.reshape(-1, 3), pairs, {"bonded": np.repeat(bonded, 2).astype("u1")})
+            fields = {"bonded": np.repeat(bonded, 2).astype("u1"), "force": np.repeat(force, 2)}
+            self._files["contacts"].add(time, ends.reshape(-1, 3), pairs, fields)
         self._frames += 1
 
     def _draw_walls(self, time: float) -> None:

@@ -43,7 +43,7 @@ RECORDERS = (
     Kind("rerun", True, "write run.rrd", lambda folder, look: RerunRecorder(
         folder / "run.rrd", live=look.live, colouring=look.colouring, network=look.network)),
     Kind("usd", True, "write scene.usdc", lambda folder, look: UsdRecorder(
-        folder / "scene.usdc", colouring=look.colouring)),
+        folder / "scene.usdc", colouring=look.colouring, velocities=False)),
     Kind("paraview", False, "write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
          lambda folder, look: ParaViewRecorder(folder, colouring=look.colouring)),
 )  # fmt: skip

@@ -12,22 +12,28 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from ..core.display import Display
+import numpy as np
+
+from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
 from ..core.files import cannot_write
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
+from .blueprint import CHAINS, CUT, blueprint, cut_walls
+from .legend import legend
 
 FLUSH_TIME = 10.0  # [s] that a viewer, or the writer of a file that does not grow, gets to take the rest
-LINE = 4e-4  # radius of the network's lines [m]
+AXIS = (200, 200, 200)
 
 
 class RerunRecorder(Recorder):
-    """Bodies (every clump drawn by its own spheres), moving walls and curves on one timeline.
+    """Bodies (every clump drawn by its own spheres), moving walls, curves and profiles on one timeline, a legend, and
+    a view of the inside.
 
     Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
     (`rerun+http://127.0.0.1:9876/proxy`); `colouring` of bodies, one of those that the method's display has; `network`
-    also draws lines between bodies, where the display has any (contacts grey, bonds orange).
+    also draws lines between bodies, where the display has any: contacts as wide and bright as the force that they
+    carry; bonds that do not press are orange.
 
     Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
     resumed goes on after a whole part. At the end they become one file.
@@ -52,8 +58,9 @@ class RerunRecorder(Recorder):
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
-        self._open(display, str(uuid.uuid4()), 0, self._blueprint(display))
+        self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
+        self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Drop the parts after the checkpoint and open the next."""
@@ -64,7 +71,8 @@ class RerunRecorder(Recorder):
             for path in self._later_parts(state["parts"]):
                 path.unlink()
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
-        self._open(display, state["recording_id"], state["parts"], self._blueprint(display) if self.live else None)
+        layout = self._blueprint(simulation, display) if self.live else None
+        self._open(display, state["recording_id"], state["parts"], layout)
         if self.live:
             self._describe(display)
 
@@ -105,13 +113,27 @@ class RerunRecorder(Recorder):
         spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.colours())
         self._log(f"scene/{display.noun}", spheres)
         for number, name in self._moving:
-            self._log_pose(number, name)
+            self._log_pose(number, f"scene/walls/{name}")
         for number, wall in enumerate(self._walls):
             if (colours := display.wall_colours(number)) is not None:
                 self._log(f"scene/walls/{wall}", rr.Mesh3D.from_fields(vertex_colors=colours))
         if self.network:
-            for name, (lines, colour) in display.network().items():
-                self._log(f"scene/network/{name}", rr.LineStrips3D(lines, colors=[colour], radii=LINE))
+            for name, lines in display.network().items():
+                self._log(f"{CHAINS}/{name}", rr.LineStrips3D(lines.ends, colors=lines.colours, radii=lines.radii))
+        for profile in display.profiles():
+            self._draw_profile(profile)
+
+    def _draw_profile(self, profile: Profile) -> None:
+        """Curves as bars, side by side: the viewer has no other axes than those of time."""
+        found = [(curve, *curve.read()) for curve in profile.curves]
+        for number, (curve, places, values) in enumerate(found):
+            if len(places):
+                apart = float(np.min(np.diff(places))) if len(places) > 1 else 1.0
+                width = 0.8 * apart / len(found)
+                middle = places + (number - 0.5 * (len(found) - 1)) * width
+                bars = self._rr.BarChart(values, abscissa=middle, widths=np.full(len(middle), width, np.float32),
+                                         color=curve.colour)  # fmt: skip
+                self._log(f"profile/{profile.path}/{curve.name.replace(' ', '_')}", bars)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
@@ -138,7 +160,15 @@ class RerunRecorder(Recorder):
             mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
             self._log(f"scene/walls/{wall.name}", mesh, static=True)
             if not wall.moves:
-                self._log_pose(number, wall.name, static=True)
+                self._log_pose(number, f"scene/walls/{wall.name}", static=True)
+        for wall in cut_walls(display):
+            mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
+            self._log(f"{CUT}/{wall.name}", mesh, static=True)
+            number = [each.name for each in display.walls()].index(wall.name)
+            self._log_pose(number, f"{CUT}/{wall.name}", static=True)
+        picture = legend(display)
+        if picture is not None:
+            self._log("legend", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
         for plot in display.plots():
             for curve in plot.curves:
                 colours = None if curve.colour is None else [list(curve.colour)]
@@ -151,30 +181,28 @@ class RerunRecorder(Recorder):
         except RuntimeError as error:
             raise self._trouble(error) from error
 
-    def _log_pose(self, number: int, name: str, static: bool = False) -> None:
+    def _log_zeros(self, display: Display, time: float, steps: int) -> None:
+        """One point in every plot, so that its axis begins at zero."""
+        self._set_time(time, steps)
+        for plot in display.plots():
+            self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[AXIS], names="zero"), static=True)
+            self._log(f"{plot.path}/zero", self._rr.Scalars(0.0))
+
+    def _log_pose(self, number: int, path: str, static: bool = False) -> None:
         assert self._display is not None
         position, orientation = self._display.wall_pose(number)
         pose = self._rr.Transform3D(translation=position, quaternion=self._rr.Quaternion(xyzw=orientation))
-        self._log(f"scene/walls/{name}", pose, static=static)
+        self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
         """Of what this thread logs."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
-    def _blueprint(self, display: Display) -> Any:
-        import rerun.blueprint as rrb
-
-        eye, target = display.view(1.2)
-        scene = rrb.Spatial3DView(
-            name=f"{display.noun.capitalize()} by {display.colouring}",
-            origin="scene",
-            eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
-            line_grid=rrb.LineGrid3D(visible=False),
-            background=(250, 250, 250),
-        )
-        plots = rrb.Vertical(*(rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()))
-        return rrb.Blueprint(rrb.Horizontal(scene, plots, column_shares=[2, 1]), collapse_panels=True)
+    def _blueprint(self, simulation: Simulation, display: Display) -> Any:
+        network = self.network and display.has_network
+        with_legend = display.scale() is not None or bool(display.things())
+        return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
     # Sinks and the parts of the file.
 

@@ -1,4 +1,4 @@
-"""The run as a USD scene: bodies with time samples, walls, a camera.
+"""The run as a USD scene: bodies with time samples, walls, materials, light, a camera.
 
 Rigid bodies are one point instancer with a prototype for each shape, particles are points.
 """
@@ -18,15 +18,20 @@ from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
+from .usd_looks import Colours, bind, bodies_look, describe, light, linear, wall_look
 
 FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
 
 
 class UsdRecorder(Recorder):
-    """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres."""
+    """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres.
 
-    def __init__(self, path: Path, *, colouring: str | None = None) -> None:
-        self.path, self.colouring = path, colouring
+    With `velocities` the file has those of rigid bodies, by which renderers blur what moves, and is half as large
+    again.
+    """
+
+    def __init__(self, path: Path, *, colouring: str | None = None, velocities: bool = True) -> None:
+        self.path, self.colouring, self.velocities = path, colouring, velocities
         self._stage: Any = None
         self._bodies: Any = None
         self._first: float | None = None
@@ -66,24 +71,30 @@ class UsdRecorder(Recorder):
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-        stage.SetFramesPerSecond(round(1 / simulation.frame_interval) or 1)
+        stage.SetFramesPerSecond(round(1 / simulation.frames.interval) or 1)
         root = UsdGeom.Xform.Define(stage, "/Run")
         stage.SetDefaultPrim(root.GetPrim())
         rigid = display.rigid_bodies()
         path = f"/Run/{display.noun.capitalize()}"
-        self._bodies = _Points(stage, path, display) if rigid is None else _Instances(stage, path, display, rigid)
+        if rigid is None:
+            self._bodies = _Points(stage, path, display)
+        else:
+            self._bodies = _Instances(stage, path, rigid, self.velocities)
         self._build_walls(display.walls())
         self._build_camera(display)
+        light(stage, display)
+        describe(stage, display, simulation.scene)
 
     def _build_walls(self, walls: list[DrawnWall]) -> None:
-        from pxr import Gf, Usd, UsdGeom, Vt
+        from pxr import Usd, UsdGeom, Vt
 
         UsdGeom.Xform.Define(self._stage, "/Run/Walls")
         self._poses: dict[int, tuple[Any, Any]] = {}
         self._painted: dict[int, Any] = {}
         """Walls with a colour of each vertex, by number."""
         for number, wall in enumerate(walls):
-            mesh = UsdGeom.Mesh.Define(self._stage, f"/Run/Walls/{_prim_name(wall.name, number, walls)}")
+            name = _prim_name(wall.name, number, walls)
+            mesh = UsdGeom.Mesh.Define(self._stage, f"/Run/Walls/{name}")
             points = wall.vertices.astype(np.float32)
             mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
             mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(wall.faces), 3, np.int32)))
@@ -91,12 +102,15 @@ class UsdRecorder(Recorder):
             mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
             mesh.CreateDoubleSidedAttr(True)
             mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
-            mesh.CreateDisplayColorAttr([Gf.Vec3f(0.75, 0.43, 0.24) if wall.moves else Gf.Vec3f(0.59, 0.65, 0.7)])
-            mesh.CreateDisplayOpacityAttr([1.0 if wall.moves else 0.15])
+            painted = self._display.wall_colours(number) is not None
+            material, colour, opacity = wall_look(self._stage, wall, f"Wall_{name}", painted)
+            bind(mesh.GetPrim(), material)
+            mesh.CreateDisplayOpacityAttr([opacity])
             mesh.ClearXformOpOrder()
-            if self._display.wall_colours(number) is not None:
+            if painted:
                 self._painted[number] = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-                mesh.CreateDisplayOpacityAttr([0.6])
+            else:
+                mesh.CreateDisplayColorAttr([colour])
             self._poses[number] = (mesh.AddTranslateOp(), mesh.AddOrientOp(UsdGeom.XformOp.PrecisionDouble))
             if not wall.moves:
                 self._pose(number, Usd.TimeCode.Default())
@@ -131,7 +145,7 @@ class UsdRecorder(Recorder):
         for number, painted in self._painted.items():
             colours = self._display.wall_colours(number)
             assert colours is not None
-            painted.Set(Vt.Vec3fArray.FromNumpy(colours.astype(np.float32) / 255), code)
+            painted.Set(Vt.Vec3fArray.FromNumpy(linear(colours)), code)
 
     def _pose(self, number: int, code: Any) -> None:
         from pxr import Gf
@@ -174,14 +188,20 @@ class UsdRecorder(Recorder):
 class _Instances:
     """Rigid bodies as a point instancer."""
 
-    def __init__(self, stage: Any, path: str, display: Display, rigid: RigidBodies) -> None:
+    def __init__(self, stage: Any, path: str, rigid: RigidBodies, velocities: bool) -> None:
         from pxr import Gf, Sdf, UsdGeom, Vt
 
         self._instancer = instancer = UsdGeom.PointInstancer.Define(stage, path)
         shapes = []
+        # How a ball has turned is not seen.
+        self._turn = any(len(prototype.radii) > 1 or np.any(prototype.offsets) for prototype in rigid.prototypes)
+        self._velocities = velocities
+        look = bodies_look(stage)
         for number, prototype in enumerate(rigid.prototypes):
             shape = f"{path}/Prototypes/Template_{number}"
-            UsdGeom.Xform.Define(stage, shape).GetPrim().SetMetadata("comment", prototype.name)
+            prim = UsdGeom.Xform.Define(stage, shape).GetPrim()
+            prim.SetMetadata("comment", prototype.name)
+            bind(prim, look)
             for k, (offset, radius) in enumerate(zip(prototype.offsets, prototype.radii, strict=True)):
                 ball = UsdGeom.Sphere.Define(stage, f"{shape}/Sphere_{k}")
                 ball.CreateRadiusAttr(float(radius))
@@ -193,8 +213,9 @@ class _Instances:
         instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(rigid.prototype.astype(np.int32)))
         instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(size), dtype=np.int64)))
         instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(np.repeat(size[:, None], 3, 1)))
-        self._colour = UsdGeom.PrimvarsAPI(instancer).CreatePrimvar(
-            "displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex
+        primvars = UsdGeom.PrimvarsAPI(instancer)
+        self._colours = Colours(
+            primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex)
         )
         extents = np.array([prototype.extent for prototype in rigid.prototypes])
         self._reach = size * extents[rigid.prototype] if len(size) else size
@@ -204,15 +225,18 @@ class _Instances:
 
         pose = display.pose()
         position = pose.positions.astype(np.float32)
-        # USD stores quaternions in half precision, real part last in memory as here.
-        orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
         self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
-        self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
-        self._instancer.CreateVelocitiesAttr().Set(Vt.Vec3fArray.FromNumpy(pose.velocities.astype(np.float32)), code)
+        if self._turn:
+            # USD stores quaternions in half precision, real part last in memory as here.
+            orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
+            self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
+        if self._velocities:
+            velocity = Vt.Vec3fArray.FromNumpy(pose.velocities.astype(np.float32))
+            self._instancer.CreateVelocitiesAttr().Set(velocity, code)
         if len(position):
             extent = _extent(position, self._reach[:, None])
             self._instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
-        self._colour.Set(Vt.Vec3fArray.FromNumpy(display.body_colours().astype(np.float32) / 255), code)
+        self._colours.set(display.body_colours(), code)
 
 
 class _Points:
@@ -225,7 +249,8 @@ class _Points:
         self._radii = display.radii().astype(np.float32)
         self._points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(2 * self._radii))
         self._points.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(self._radii), dtype=np.int64)))
-        self._colour = self._points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        self._colours = Colours(self._points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex))
+        bind(self._points.GetPrim(), bodies_look(stage))
 
     def frame(self, display: Display, code: Any) -> None:
         from pxr import Vt
@@ -234,7 +259,7 @@ class _Points:
         self._points.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(place), code)
         extent = _extent(place, self._radii[:, None])
         self._points.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
-        self._colour.Set(Vt.Vec3fArray.FromNumpy(display.colours().astype(np.float32) / 255), code)
+        self._colours.set(display.colours(), code)
 
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.html import html_table
 from .posterior import Posterior, told_apart, unmoved
 from .targets import Target, Task
 
@@ -52,6 +53,11 @@ class Calibration:
     def __repr__(self) -> str:
         fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())
         return f"<Calibration of {len(self.task.free)} parameters: {fitted or 'no answer yet'}, folder '{self.folder}'>"
+
+    def _repr_html_(self) -> str:
+        """Its answer as a table, for notebooks."""
+        rows = [(free.name, f"{self.best[free.name]:.4g}") for free in self.task.free if free.name in self.best]
+        return html_table(rows, ["parameter", "likeliest"] if rows else (), repr(self))
 
     @property
     def best(self) -> dict[str, float]:

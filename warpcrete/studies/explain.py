@@ -15,6 +15,7 @@ from ..core.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
 from ..core.files import read_json, write_json
 from ..core.forecast import Forecast
+from ..core.frames import LEAST, SLOWEST
 from ..core.provenance import fingerprint, provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
@@ -23,8 +24,6 @@ from .advice import outside, shipped
 from .fronts import Error, worst
 from .trade_report import percent
 
-FRAMES = 25.0
-"""A simulated second, that `warpcrete run` records unless told otherwise."""
 TIMED = 3  # frames
 LARGE = 0.9
 """Of the time, what a simplification must leave less than to be worth a line."""
@@ -211,7 +210,7 @@ def _lines(told: Explanation) -> Iterator[str]:
     yield f"wall time: {_seconds(f.wall_time)} without recordings, kernels compiled"
     yield from (f"  {name:20s} {_seconds(spent)}" for name, spent in f.parts.items())
     if f.frame:
-        frames = 1 + int(FRAMES * f.duration)
+        frames = 1 + max(LEAST, int(f.duration / SLOWEST))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
         yield f"  and for {frames} recorded frames: {spent}"
     yield "what would save most" + (f" (errors by {told.source})" if told.source else "")

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..core.html import html_table
+from ..core.run import dataframe
 from ..core.units import quantity
 from ..mps.mixes import CONSTANTS
 from ..theory.pipe import Concrete
@@ -49,6 +51,25 @@ class LineResult:
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
+
+    def _repr_html_(self) -> str:
+        """Its parts as a table, for notebooks."""
+        rows = [line.strip("| ").split(" | ") for line in lines_of(self) if line.startswith("| ")]
+        return html_table(rows[1:], ["part", "", *rows[0][2:]], repr(self))
+
+    def table(self) -> Any:
+        """Its parts as a pandas DataFrame in SI units, with their numbers as index; `attrs["units"]` has the units.
+
+        Raises :class:`WarpcreteError` where pandas is not installed.
+        """
+        parts = self.record()["parts"]
+        units = {name: entry["unit"] for name, entry in parts[0].items() if isinstance(entry, dict)}
+        columns = {name: [x[name]["value"] if name in units else x[name] for x in parts] for name in parts[0]}
+        return dataframe(columns, units, "number")
+
+    def plot(self) -> Any:
+        """Matplotlib figure of the pressure along the line: with its band, and by theory."""
+        return draw(self)
 
     @property
     def pressure(self) -> float:

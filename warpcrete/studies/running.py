@@ -41,7 +41,7 @@ def simulation_of(
         precision=record.get("precision"),
         threads=record.get("threads", 1),
         recorders=recorders_of(here, module.check, command),
-        frame_interval=1.0 / command["frames"],
+        frame_interval=1.0 / command["frames"] if command["frames"] else None,
         progress=tell,
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
@@ -198,14 +198,20 @@ def _plain(outcome: Any) -> Any:
     return outcome if isinstance(outcome, Exception) else None
 
 
-def kept(folder: Path) -> Any:
-    """What came of a case before: its result.json, its error, or None; one cut before a checkpoint is cleared away."""
+def outcome_of(folder: Path) -> Any:
+    """What came of a case before: its result.json, its error, or None."""
     if (folder / FAILED).is_file():
         return WarpcreteError((folder / FAILED).read_text().strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
         result = read_json(folder / "result.json")
         if result.get("finished") and "checks" in result:
             return result
-    if folder.exists() and not (folder / "checkpoint.npz").is_file():
-        shutil.rmtree(folder)
     return None
+
+
+def kept(folder: Path) -> Any:
+    """The same; a case that was cut before its first checkpoint is cleared away."""
+    found = outcome_of(folder)
+    if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
+        shutil.rmtree(folder)
+    return found

@@ -19,18 +19,22 @@ import numpy as np
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.html import html_table
 from ..core.method import Quantity
 from ..core.parameters import declared_fields
 from ..core.provenance import provenance
-from ..core.run_loop import Run
+from ..core.run import Run, dataframe
 from ..core.units import number, shown
 from ..methods import method_of
 from ..record.checks import failed_checks
+from ..record.loading import load as load_run
 from ..record.recorders import RECORDERS
+from ..scenes import modules
 from .cases import Case, cases_of
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .drawing import draw
-from .running import FAILED, kept, run_in_processes, run_on_gpu
+from .running import FAILED, kept, outcome_of, run_in_processes, run_on_gpu
+from .study_table import columns_of, write_parquet
 
 COUNTS = ("runs", "failed", "suspect")
 """Columns of a table: finished runs, runs that ended with an error, finished runs that a check does not accept."""
@@ -109,8 +113,35 @@ class Study:
             rows.append(row)
         return rows
 
-    def table(self) -> str:
-        """Markdown table, in the units that people read."""
+    def __getitem__(self, case: str) -> Run:
+        """The run of a case, by its name, from its folder; raises :class:`KeyError` for one that there is not."""
+        if case not in self._ipython_key_completions_():
+            raise KeyError(f"the study has no case {case!r}; it has {', '.join(self._ipython_key_completions_())}")
+        return load_run(self.folder / case)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [case.name for case in self.cases]
+
+    def table(self) -> Any:
+        """All cases and seeds as a pandas DataFrame in SI units, one row a run, with `case` as index; `attrs["units"]`
+        has the units of its columns.
+
+        Raises :class:`WarpcreteError` where pandas is not installed.
+        """
+        columns, units = columns_of(self)
+        return dataframe(columns, units, "case")
+
+    def plot(self) -> Any:
+        """Matplotlib figure: each quantity that the study compares over each varied parameter, with its scatter."""
+        return draw(self)
+
+    def _repr_html_(self) -> str:
+        """The table of means and scatters, for notebooks."""
+        rows = [line.strip("| ").split(" | ") for line in self.markdown().splitlines() if not line.startswith("|--")]
+        return html_table(rows[1:], rows[0], repr(self))
+
+    def markdown(self) -> str:
+        """Markdown table of means and scatters over seeds, in the units that people read."""
         titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.compared]
         head = [*map(self.heading, self.varied), *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -125,7 +156,7 @@ class Study:
         return "\n".join(lines)
 
     def write(self, figure: bool = True) -> None:
-        """Table as Markdown and CSV, and the figure, of what there is."""
+        """Table as Markdown, CSV and, of every case, Parquet, and the figure, of what there is."""
         rows = self.rows()
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
@@ -135,7 +166,8 @@ class Study:
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
             writer.writerows([[row.get(name, "") for name in names] for row in rows])
         with whole_file(self.folder / "study.md") as partial:
-            partial.write_text(f"{self.table()}\n")
+            partial.write_text(f"{self.markdown()}\n")
+        write_parquet(self, self.folder / "study.parquet")
         if figure and self.results:
             with whole_file(self.folder / "study.png") as partial:
                 draw(self).savefig(partial, dpi=150, format="png")
@@ -153,7 +185,7 @@ def run_study(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float = 25.0,
+    frames: float | None = None,
     checkpoint_every: float = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -202,7 +234,7 @@ def run_listed(
     device: str | None = None,
     precision: str = "float32",
     processes: int | None = None,
-    frames: float = 25.0,
+    frames: float | None = None,
     checkpoint_every: float = 60.0,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -212,7 +244,8 @@ def run_listed(
 ) -> Study:
     """Run a study of cases that stand in a list, with or without a figure; see :func:`run_study`."""
     cases = list(cases)
-    positive("frames", frames, "1/s")
+    if frames is not None:
+        positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
@@ -267,17 +300,8 @@ def _go_on(
     folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
 ) -> Study:
     """Run what is not finished, and write the tables."""
-    record = read_json(folder / "study.json")
-    try:
-        cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
-        missing = {"scene", "command", "device", "precision"} - set(record)
-        if missing or not cases:
-            raise KeyError(", ".join(sorted(missing)) or "cases")
-    except (KeyError, TypeError) as error:
-        raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
-    method = method_of(module.scene(**cases[0].parameters))
-    units = {name: f.unit.strip() for name, f in declared_fields(module.scene.parameters).items()}
-    study = Study(folder, record["scene"], cases, method.compared, units)
+    record, study = _opened(folder, module)
+    cases = study.cases
     pending = [case for case in cases if not _known(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
 
@@ -306,6 +330,35 @@ def _go_on(
     return study
 
 
+def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
+    """A study's record, and the study before any case is looked at."""
+    record = read_json(folder / "study.json")
+    try:
+        cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
+        missing = {"scene", "command", "device", "precision"} - set(record)
+        if missing or not cases:
+            raise KeyError(", ".join(sorted(missing)) or "cases")
+    except (KeyError, TypeError) as error:
+        raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
+    method = method_of(module.scene(**cases[0].parameters))
+    units = {name: f.unit.strip() for name, f in declared_fields(module.scene.parameters).items()}
+    return record, Study(folder, record["scene"], cases, method.compared, units)
+
+
+def load_study(folder: Path) -> Study:
+    """The study in a folder, as far as it got; nothing there is changed.
+
+    Raises :class:`RunFolderError` for one that is none of this version's.
+    """
+    name, known = read_json(folder / "study.json").get("scene"), modules()
+    if name not in list(known):
+        raise RunFolderError(f"'{folder / 'study.json'}': names no scene of this version ({', '.join(known)})")
+    _, study = _opened(folder, known[name])
+    for case in study.cases:
+        _book(study, case, outcome_of(folder / case.name))
+    return study
+
+
 def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
     """Lists of values by their parameters' own names."""
     found: dict[str, list[Any]] = {}
@@ -330,8 +383,12 @@ def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
 def _known(study: Study, case: Case) -> bool:
     """Take over a case that is finished or failed; clear away one that was cut before its first checkpoint."""
     found = kept(study.folder / case.name)
+    _book(study, case, found)
+    return found is not None
+
+
+def _book(study: Study, case: Case, found: Any) -> None:
     if isinstance(found, dict):
         study.results[case.name] = found
     elif found is not None:
         study.failures[case.name] = str(found)
-    return found is not None

@@ -135,6 +135,11 @@ class FreeDisplay(Display):
             Plot("speed", "Speed", (Curve("fastest", "fastest [mm/s]", lambda row: 1e3 * row["fastest"], OURS),)),
         )  # fmt: skip
 
+    @property
+    def cut(self) -> float | None:
+        """A section is drawn already, but of a room in space."""
+        return super().cut if self._solid else None
+
     def walls(self) -> list[DrawnWall]:
         """The plate, and the mould or gate, which moves."""
         scene, found = self.simulation.scene, []

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.concretes import is_file
 from ...core.device import PRECISIONS
 from ...core.errors import between, one_of, positive, refuse
+from ...core.html import Parametrised
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...theory.pipe import Concrete
@@ -56,7 +57,7 @@ class FreeSettings(Declared):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class FreeScene(FreeSettings):
+class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel, about an axis, in a plane or in space; SI units. Polygons are sections: what they are of
     reaches through the depth.
     """

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.device import PRECISIONS
 from ...core.errors import between, positive, refuse
+from ...core.html import Parametrised
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.meshes import rays
@@ -50,7 +51,7 @@ class PartSettings(Declared):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class PartScene(PartSettings):
+class PartScene(Parametrised, PartSettings):
     """Concrete that fills a pipe along an axis and flows through it, in at its start and out at its end; SI units, z
     up.
     """

@@ -1,0 +1,229 @@
+"""How runs are shown: legends, cuts, chains, profiles and frames of recordings; looks and words of USD scenes."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pumping import SMALL
+from test_recordings import columns
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.display import DrawnWall
+from warpcrete.core.frames import LEAST, SLOWEST, Frames
+from warpcrete.core.run_loop import Recorder
+from warpcrete.record.blueprint import behind, cut_walls
+from warpcrete.record.legend import legend, legend_title, meaning
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
+from warpcrete.record.usd_looks import linear
+from warpcrete.theory.pipe import velocity
+
+TUBE = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
+
+
+class Seen(Recorder):
+    """What displays show at every frame."""
+
+    def __init__(self, *colourings):
+        self.colourings, self.found, self.times = colourings, [], []
+
+    def frame(self, simulation):
+        self.times.append(simulation.stepper.time)
+        for colouring in self.colourings:
+            self.found.append(self.look(simulation.display(colouring), simulation))
+
+    def look(self, display, simulation):
+        forces = display._largest_forces()[np.argsort(simulation.state.bodies.id.numpy())]
+        return SimpleNamespace(
+            display=display, scale=display.scale(), colours=display.body_colours().copy(), forces=forces,
+            network=display.network(), profile=display.profiles()[0].curves[0].read(), table=simulation.state.table(),
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pumped(tmp_path_factory):
+    """A short pipe, with chains."""
+    folder = tmp_path_factory.mktemp("pumped")
+    seen = Seen(None, "speed")
+    recorders = [seen, RerunRecorder(folder / "run.rrd", network=True),
+                 UsdRecorder(folder / "scene.usdc", velocities=False)]  # fmt: skip
+    scene = scenes.pipe(**SMALL | dict(shapes="spheres", travel=0.01))
+    run = Simulation(scene, device="cpu", recorders=recorders).run()
+    return folder, seen, run
+
+
+def test_aggregates_are_coloured_by_force_on_the_scale_that_the_legend_has(pumped):
+    _, seen, _ = pumped
+    last = seen.found[-2]
+    assert last.display.colouring == "force"
+    label, lower, upper = last.scale
+    assert label.endswith("[N]") and lower == 0 and last.forces.max() > 0.2 * upper
+    from matplotlib import colormaps
+
+    expected = colormaps["viridis"](np.clip(last.forces / upper, 0, 1))[:, :3]
+    assert last.colours / 255 == pytest.approx(expected, abs=0.02)
+    assert seen.found[-1].scale[0] == "speed [cm/s]"
+    assert legend_title(last.display).endswith("[N]") and f"{upper:.3g} and above" in meaning(last.display)
+    assert legend(last.display)[:4] == b"\x89PNG"
+
+
+def test_chains_are_as_wide_as_contacts_press(pumped):
+    """In proportion up to the scale's end, in the colours of the scale; every force is that of some body's contact."""
+    _, seen, _ = pumped
+    found = seen.found[-2]
+    _, _, upper = found.scale
+    lines = [each for each in found.network.values() if len(each.ends)]
+    force, radii = (np.concatenate([getattr(each, name) for each in lines]) for name in ("forces", "radii"))
+    between = (force > 0.1 * upper) & (force < 0.9 * upper)
+    assert between.sum() > 10
+    assert radii[between] / force[between] == pytest.approx(radii[between][0] / force[between][0], rel=1e-5)
+    assert radii[force > upper] == pytest.approx(radii.max()) and radii[force <= 0] == pytest.approx(radii.min())
+    assert force.max() == pytest.approx(found.forces.max(), rel=1e-6)
+    ends = np.concatenate([each.ends for each in lines])
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < 2 * found.table.size.max()
+
+
+def test_a_recording_has_chains_profile_zero_and_legend(pumped):
+    folder, seen, _ = pumped
+    chains = columns(folder / "run.rrd", "/scene/network/contacts") | columns(
+        folder / "run.rrd", "/scene/network/bonds"
+    )
+    (radii,) = [value for name, value in chains.items() if "radii" in name.lower()]
+    assert len(radii) == len(seen.times) and len(set(np.concatenate([np.ravel(r) for r in radii if r]))) > 10
+    bars = columns(folder / "run.rrd", "/profile/velocity/aggregates")
+    assert len(bars["time"]) == len(seen.times)
+    for entity in ("/pressure/zero", "/energy/zero"):
+        zero = columns(folder / "run.rrd", entity)
+        assert zero["time"] == [0.0]
+        (values,) = [value for name, value in zero.items() if "scalars" in name.lower()]
+        assert np.ravel(values) == [0.0]
+    from rerun.chunk import RrdReader
+
+    names = {str(c.entity_path) for c in RrdReader(str(folder / "run.rrd")).stream().to_chunks() if c.is_static}
+    assert {"/legend", "/scene/cut/pipe", "/scene/walls/pipe"} <= names
+
+
+def test_a_profile_is_the_mean_velocity_of_rings(pumped):
+    """By the bodies themselves: along the vertical pipe, amid the concrete, by volume."""
+    _, seen, run = pumped
+    found = seen.found[-2]
+    place, speed = found.profile
+    t = found.table
+    low, high = np.quantile(t.position[:, 2], (0.2, 0.8))
+    amid = (t.position[:, 2] >= low) & (t.position[:, 2] <= high)
+    ring = np.linalg.norm(t.position[:, :2], axis=1) // (run.scene.pipe.radius / 10)
+    for k, (middle, mean) in enumerate(zip(place, speed)):
+        number = round(1e-3 * middle / run.scene.pipe.radius * 10 - 0.5)
+        these = amid & (ring == number)
+        expected = np.average(t.velocity[these][:, 2], weights=t.size[these] ** 3.0)
+        assert mean == pytest.approx(100 * expected, rel=1e-4, abs=1e-6), k
+    assert len(place) > 5 and place.max() < 1e3 * run.scene.pipe.radius
+
+
+def test_a_flow_s_profile_stands_beside_theory():
+    simulation = Simulation(scenes.channel(spacing=0.01), device="cpu", threads=1)
+    run = simulation.run()
+    ours, theory = (curve.read() for curve in simulation.display().profiles()[0].curves)
+    assert np.array_equal(ours[0], theory[0]) and ours[1] == pytest.approx(theory[1], rel=0.03)
+    scene = run.scene
+    inner = scene.radius - scene.line.slip_thickness
+    exact = velocity(scene.concrete, scene.line, scene.theory(), np.minimum(1e-3 * theory[0], inner))
+    assert theory[1] == pytest.approx(100 * exact) and simulation.display().cut is None
+
+
+def test_a_cut_leaves_what_lies_behind_the_axis():
+    simulation = Simulation(scenes.tube(**TUBE), device="cpu", threads=1)
+    simulation.prepare()
+    display = simulation.display()
+    kept = behind(display)
+    assert kept.sum() == pytest.approx(len(kept) / 2, rel=0.2) and np.all(display.centres()[kept, 1] >= 0)
+    (whole,), (half,) = display.walls(), cut_walls(display)
+    assert isinstance(half, DrawnWall) and len(half.faces) == len(whole.faces) / 2
+    assert whole.vertices[half.faces].mean(axis=1)[:, 1].min() > 0
+    plane = Simulation(scenes.channel(**TUBE), device="cpu", threads=1)
+    plane.prepare()
+    assert behind(plane.display()) is None and cut_walls(plane.display()) == []
+
+
+def test_things_have_a_legend_where_colours_tell_them_apart():
+    simulation = Simulation(scenes.channel(spacing=5e-3, aggregates=True), device="cpu", threads=1)
+    simulation.prepare()
+    display = simulation.display()
+    assert display.scale() is None and legend_title(display) == "Coarse aggregate, mortar"
+    assert legend(display)[:4] == b"\x89PNG" and "mortar RGB" in meaning(display)
+
+
+def times(frames, end, step):
+    """Of frames of a run that is asked at every step."""
+    found = []
+    for k in range(1, round(end / step) + 1):
+        if frames.due(k * step):
+            found.append(k * step)
+            frames.taken(k * step)
+    return np.array(found)
+
+
+def test_frames_are_as_many_as_it_takes_to_play():
+    assert np.allclose(times(Frames(None, 4.0), 4.0, 0.01), SLOWEST * np.arange(1, 101))
+    assert len(times(Frames(None, 0.3), 0.3, 0.002)) == LEAST
+    asked = times(Frames(0.1, 0.3), 0.3, 0.002)
+    assert asked == pytest.approx([0.1, 0.2, 0.3])
+    longer = times(Frames(None, 0.03), 2.0, 1e-3)  # than was expected
+    assert longer[:LEAST] == pytest.approx(1e-3 * np.arange(1, LEAST + 1)) and len(longer) < 160
+    assert np.diff(longer).max() < SLOWEST + 2e-3
+
+
+@pytest.mark.parametrize("ends", ["piston", "periodic"])
+def test_frames_of_a_flow_change_nothing_of_it(ends):
+    """They lie between its samples, where its steps are all the same; a flow that is steady soon has some to play."""
+    found = []
+    for recorders in ([], [Seen()]):
+        simulation = Simulation(scenes.tube(ends=ends, **TUBE), device="cpu", threads=1, recorders=recorders)
+        found.append(simulation.run().result["state_hash"])
+    seen = recorders[0].times
+    assert found[0] == found[1] and seen == sorted(set(seen)) and seen[-1] == pytest.approx(TUBE["duration"])
+    between = [t for t in seen if abs(t / 4e-3 - round(t / 4e-3)) > 1e-6]
+    assert len(between) >= 12 if ends == "piston" else not between
+
+
+def test_usd_has_looks_light_and_words(pumped):
+    from pxr import Usd, UsdGeom, UsdLux, UsdShade
+
+    folder, seen, _ = pumped
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    words = stage.GetRootLayer().documentation
+    assert "Metres, Z up" in words and "largest contact force on each [N]" in words
+    assert stage.GetDefaultPrim().GetDocumentation() == words
+    looks = {}
+    for path in ("/Run/Walls/pipe", "/Run/Walls/piston", "/Run/Aggregates/Prototypes/Template_0/Sphere_0"):
+        material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(path)).ComputeBoundMaterial()
+        shader, _, _ = material.ComputeSurfaceSource()
+        assert shader.GetIdAttr().Get() == "UsdPreviewSurface"
+        looks[path.split("/")[3]] = {each.GetBaseName(): each.Get() for each in shader.GetInputs()}, shader
+    assert looks["pipe"][0]["opacity"] < 0.3 and looks["piston"][0]["opacity"] == 1
+    assert looks["piston"][0]["metallic"] > looks["pipe"][0]["metallic"] == 0
+    source = looks["Prototypes"][1].GetInput("diffuseColor").GetConnectedSources()[0][0].source
+    assert UsdShade.Shader(source.GetPrim()).GetInput("varname").Get() == "displayColor"
+    lights = [prim for prim in stage.Traverse() if prim.HasAPI(UsdLux.LightAPI)]
+    assert {prim.GetTypeName() for prim in lights} == {"DomeLight", "DistantLight"}
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Run/Aggregates"))
+    codes = instancer.GetPositionsAttr().GetTimeSamples()
+    assert len(codes) == len(seen.times)
+    assert not instancer.GetOrientationsAttr().HasAuthoredValue()  # of balls
+    assert not instancer.GetVelocitiesAttr().HasAuthoredValue()
+    colour = UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor")
+    for code, found in zip(codes, seen.found[::2]):
+        assert np.array(colour.ComputeFlattened(code)) == pytest.approx(linear(found.colours), abs=1e-6)
+
+
+def test_colours_of_usd_are_light():
+    """IEC 61966-2-1: 0 and 1 stay, a screen's middle grey of 188 is half the light."""
+    assert linear(np.array([0, 10, 188, 255])) == pytest.approx([0, 0.003035, 0.5029, 1], abs=2e-4)
+
+
+def test_notes_of_usd_are_readable(pumped):
+    from pxr import Sdf
+
+    notes = Sdf.Layer.FindOrOpen(str(pumped[0] / "scene.usdc")).customLayerData
+    assert json.loads(json.dumps(dict(notes)))["title"] == "warpcrete: pipe"

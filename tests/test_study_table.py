@@ -1,0 +1,100 @@
+"""Studies as tables: DataFrame, Parquet, HTML; and read back from their folders."""
+
+import importlib
+
+import numpy as np
+import pytest
+from test_batch import SMALL
+
+import warpcrete
+from warpcrete import RunFolderError
+from warpcrete.core.method import Quantity
+from warpcrete.studies.cases import Case
+from warpcrete.studies.study import Study, run_study
+from warpcrete.studies.study_table import columns_of, write_parquet
+
+pipe_module = importlib.import_module("warpcrete.scenes.pipe")
+BASE = SMALL | dict(travel=0.012, ramp=0.008, settle=0.0)
+
+
+@pytest.fixture
+def study(tmp_path):
+    """Two seeds of two shapes: one failed, one that is not finished."""
+    cases = [
+        Case(f"{n:03d}", {"shapes": shapes, "velocity": v}, {"seed": seed})
+        for n, (shapes, v, seed) in enumerate([("spheres", 0.1, 0), ("spheres", 0.1, 1), (3, 0.3, 0), (3, 0.3, 1)])
+    ]
+    peak = Quantity("peak_pressure", "Pa", lambda known: None, compared=True)
+    checks = {"finished": {"passed": False, "found": "no"}}
+    results = {
+        "000": {"peak_pressure": {"value": 2e4, "unit": "Pa"}, "steps": 5, "finished": True, "scene": "pipe",
+                "part": 0.5, "speed": {"memory": {"value": 1.0, "unit": "B"}}, "checks": checks},
+        "001": {"peak_pressure": {"value": 3e4, "unit": "Pa"}, "steps": 7, "finished": True},
+    }  # fmt: skip
+    return Study(tmp_path, "pipe", cases, [peak], {"velocity": "m/s", "diameter": "m"}, results, {"002": "t = 1 s: no"})
+
+
+def test_a_row_is_a_case_with_every_number_it_came_to(study):
+    columns, units = columns_of(study)
+    assert units == {"velocity": "m/s", "peak_pressure": "Pa"}
+    assert columns == {
+        "case": ["000", "001", "002", "003"],
+        "outcome": ["finished", "finished", "failed", "not finished"],
+        "seed": [0, 1, 0, 1],
+        "shapes": ["spheres", "spheres", 3, 3],
+        "velocity": [0.1, 0.1, 0.3, 0.3],
+        "peak_pressure": [2e4, 3e4, None, None],
+        "steps": [5.0, 7.0, None, None],
+        "part": [0.5, None, None, None],
+        "failed_checks": ["finished", "", "", ""],
+        "error": ["", "", "t = 1 s: no", ""],
+    }
+
+
+def test_parquet_keeps_units_and_what_has_no_one_type(study):
+    from pyarrow import parquet
+
+    path = study.folder / "study.parquet"
+    write_parquet(study, path)
+    read = parquet.read_table(path)
+    columns, _ = columns_of(study)
+    assert read["shapes"].to_pylist() == ["spheres", "spheres", "3", "3"]
+    assert all(read[name].to_pylist() == values for name, values in columns.items() if name != "shapes")
+    assert read.schema.field("peak_pressure").metadata == {b"unit": b"Pa"}
+    assert read.schema.field("steps").metadata is None and read.schema.metadata[b"scene"] == b"pipe"
+    pandas = pytest.importorskip("pandas")
+    assert pandas.read_parquet(path).attrs["units"] == {"velocity": "m/s", "peak_pressure": "Pa"}
+
+
+def test_a_study_shows_itself(study):
+    pytest.importorskip("pandas")
+    table = study.table()
+    assert table.loc["001", "peak_pressure"] == 3e4 and table.attrs["units"]["peak_pressure"] == "Pa"
+    assert np.isnan(table.loc["003", "peak_pressure"])
+    html = study._repr_html_()
+    assert html.count("<tr>") == 3 and "<th>velocity [m/s]</th>" in html and "<td>25.00 +- 7.07</td>" in html
+    assert study._ipython_key_completions_() == ["000", "001", "002", "003"]
+    with pytest.raises(KeyError, match="has no case '9'; it has 000, 001"):
+        study["9"]
+
+
+@pytest.mark.thorough
+def test_a_study_comes_back_with_its_runs(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    out = tmp_path / "study"
+    made = run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE, out=out, device="cpu", processes=1)
+    (out / made.cases[1].name / "result.json").unlink()
+    files = sorted(path.relative_to(out) for path in out.rglob("*"))
+    back = warpcrete.load(out)
+    assert files == sorted(path.relative_to(out) for path in out.rglob("*"))  # not even what was cut is cleared away
+    assert isinstance(back, Study) and not back.finished and repr(back).startswith("<Study of scene 'pipe': 1 of 2")
+    first = back.cases[0].name
+    run = back[first]
+    assert run.scene.parameters["velocity"] == 0.3 and len(run.series["time"]) > 3
+    assert back.table().loc[first, "peak_pressure"] == run["peak_pressure"] and back.plot().axes
+    whole = made.table()
+    read = pandas.read_parquet(out / "study.parquet").set_index("case")
+    pandas.testing.assert_frame_equal(read, whole, check_dtype=False)
+    (out / "study.json").write_text('{"scene": "none"}')
+    with pytest.raises(RunFolderError, match="names no scene of this version"):
+        warpcrete.load(out)

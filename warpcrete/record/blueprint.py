@@ -1,0 +1,106 @@
+"""How a recording is laid out in the Rerun viewer: the scene, a cut through it, chains of force, curves, a legend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.display import Display, DrawnWall
+from ..geometry.rotation import rotate
+from .legend import legend_title
+
+PAPER = (250, 250, 250)
+PLAYED = 8.0
+"""Seconds that a run of less simulated time plays for."""
+SLIM = 0.25
+"""Width over height, or height over width, of what is seen best with all views side by side."""
+CHAINS, CUT = "scene/network", "scene/cut"
+"""Paths of what the whole scene is drawn without."""
+
+
+def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
+    """Views of what the recorder logs of a display, of a run that takes `duration` [s] about."""
+    import rerun.blueprint as rrb
+
+    scenes = _arranged(display, _scenes(display, network))
+    if legend:
+        bar = rrb.Spatial2DView(name=legend_title(display), origin="legend", background=PAPER)
+        scenes = rrb.Vertical(scenes, bar, row_shares=[8, 1])
+    curves = [rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()]
+    curves += [rrb.BarChartView(name=each.title, origin=f"profile/{each.path}") for each in display.profiles()]
+    speed = min(1.0, duration / PLAYED)
+    return rrb.Blueprint(
+        rrb.Horizontal(scenes, rrb.Vertical(*curves), column_shares=[2, 1]),
+        rrb.TimePanel(timeline="time", playback_speed=speed, state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _arranged(display: Display, views: list[Any]) -> Any:
+    """Beside one another where what there is to see is tall, below one another where it is long."""
+    import rerun.blueprint as rrb
+
+    wide, _, high = np.ptp(display.bounds(), axis=0)
+    if wide < SLIM * high:
+        return rrb.Horizontal(*views)
+    if high < SLIM * wide or len(views) == 1:
+        return rrb.Vertical(*views)
+    return rrb.Horizontal(views[0], rrb.Vertical(*views[1:]), column_shares=[3, 2] if len(views) > 2 else [1, 1])
+
+
+def _scenes(display: Display, network: bool) -> list[Any]:
+    """Views in space: the whole, the cut, the chains."""
+    noun = display.noun
+    whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
+    found = [_view(display, f"{noun.capitalize()} by {display.colouring}", whole)]
+    kept = behind(display)
+    if kept is not None:
+        import rerun as rr
+
+        # The viewer hides what stood before the plane at the start: the recording holds every body once.
+        hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
+        contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
+        found.append(_view(display, "Cut through the middle", contents, hidden))
+    if network:
+        found.append(_view(display, "Force chains", ["+ scene/**", f"- scene/{noun}", f"- {CUT}/**"]))
+    return found
+
+
+def _view(display: Display, name: str, contents: list[str], overrides: dict[str, Any] | None = None) -> Any:
+    import rerun.blueprint as rrb
+
+    eye, target = display.view(1.2)
+    return rrb.Spatial3DView(
+        name=name,
+        origin="scene",
+        contents=contents,
+        overrides=overrides,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+        line_grid=rrb.LineGrid3D(visible=False),
+        background=PAPER,
+    )
+
+
+def behind(display: Display) -> np.ndarray | None:
+    """Which spheres lie behind the cut; None where there is none, or nothing on one side of it."""
+    if display.cut is None:
+        return None
+    kept = display.centres()[:, 1] >= display.cut
+    return kept if kept.any() and not kept.all() else None
+
+
+def cut_walls(display: Display) -> list[DrawnWall]:
+    """What stands still and is seen through, without what of it lies before the cut."""
+    found = []
+    for number, wall in enumerate(display.walls()):
+        if wall.moves or wall.colour[3] == 255 or display.cut is None:
+            continue
+        position, orientation = display.wall_pose(number)
+        middles = wall.vertices[wall.faces].mean(axis=1).astype(float)
+        places = rotate(np.broadcast_to(orientation, (len(middles), 4)), middles) + position
+        kept = wall.faces[places[:, 1] >= display.cut]
+        if 0 < len(kept) < len(wall.faces):
+            found.append(DrawnWall(wall.name, wall.vertices, kept, False, wall.colour))
+    return found

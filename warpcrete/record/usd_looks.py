@@ -1,0 +1,148 @@
+"""Materials, light and words of a USD scene: what a renderer shows it by."""
+
+# pyright: reportAttributeAccessIssue=false
+# (the pxr modules fill themselves when they load)
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.display import Display, DrawnWall
+from .legend import meaning
+
+LOOKS = "/Run/Looks"
+CLEAR, PAINT = 0.14, 0.6
+"""Opacity of glass, at least, and of what has colours of its own, as wear."""
+SUN, SKY = 0.6, 0.5
+"""Intensities of the light from one side, whatever the size of its disc, and of that from all around."""
+SUN_ANGLE = 4.0
+"""Of its disc [degrees]: soft edges of shadows."""
+
+
+def linear(colours: np.ndarray) -> np.ndarray:
+    """Bytes of screen colours as light, 0 to 1, as USD has colours (IEC 61966-2-1, sRGB)."""
+    c = np.asarray(colours, float) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def describe(stage: Any, display: Display, scene: Any) -> None:
+    """Title, units and the meaning of the colours, on the file and on what they belong to."""
+    words = (
+        f"warpcrete: scene {scene.name}, {display.noun} by {display.colouring}. Metres, Z up; time codes are "
+        f"milliseconds of simulated time. {meaning(display)}"
+    ).strip()
+    layer = stage.GetRootLayer()
+    layer.documentation = words
+    layer.customLayerData = {"title": f"warpcrete: {scene.name}", "scene": scene.name, "colours": meaning(display)}
+    stage.GetDefaultPrim().SetDocumentation(words)
+
+
+def light(stage: Any, display: Display) -> None:
+    """Sky, and a sun over the shoulder of who looks."""
+    from pxr import Gf, UsdGeom, UsdLux
+
+    UsdGeom.Scope.Define(stage, "/Run/Lights")
+    sky = UsdLux.DomeLight.Define(stage, "/Run/Lights/Sky")
+    sky.CreateIntensityAttr(SKY)
+    sun = UsdLux.DistantLight.Define(stage, "/Run/Lights/Sun")
+    sun.CreateIntensityAttr(SUN)
+    sun.CreateAngleAttr(SUN_ANGLE)
+    sun.CreateNormalizeAttr(True)
+    eye, target = display.view(1.0)
+    toward = eye - target
+    side = np.cross([0.0, 0.0, 1.0], toward)
+    place = toward - 0.6 * side + [0.0, 0.0, float(np.linalg.norm(toward))]
+    turned = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*map(float, place)), Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse()
+    turned.SetTranslateOnly(Gf.Vec3d(0, 0, 0))
+    sun.ClearXformOpOrder()
+    sun.AddTransformOp().Set(turned)
+
+
+def bodies_look(stage: Any) -> Any:
+    """Material that takes its colour from `displayColor`."""
+    from pxr import Sdf
+
+    material, surface = _material(stage, "Bodies")
+    _by_display_colour(stage, surface, "Bodies")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
+    return material
+
+
+def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
+    from pxr import Gf, Sdf, UsdShade
+
+    reader = UsdShade.Shader.Define(stage, f"{LOOKS}/{name}/Colour")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(Gf.Vec3f(0.5, 0.5, 0.5))
+    reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    colour.ConnectToSource(reader.ConnectableAPI(), "result")
+
+
+def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
+    """Material of a wall, its colour as light and its opacity: glass where it is seen through, metal where it moves,
+    `displayColor` where it is `painted`.
+    """
+    from pxr import Gf, Sdf
+
+    opacity = 1.0 if wall.moves or wall.colour[3] == 255 else max(CLEAR, wall.colour[3] / 255)
+    opacity = PAINT if painted else opacity
+    colour = Gf.Vec3f(*map(float, linear(np.array(wall.colour[:3]))))
+    material, surface = _material(stage, name)
+    if painted:
+        _by_display_colour(stage, surface, name)
+    else:
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
+    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(opacity)
+    metal = wall.moves and wall.colour[3] == 255
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.8 if metal else 0.0)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.35 if opacity == 1.0 else 0.1)
+    return material, colour, opacity
+
+
+def bind(prim: Any, material: Any) -> None:
+    """Have a prim, and all below it, look so."""
+    from pxr import UsdShade
+
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def _material(stage: Any, name: str) -> tuple[Any, Any]:
+    from pxr import Sdf, UsdGeom, UsdShade
+
+    UsdGeom.Scope.Define(stage, LOOKS)
+    material = UsdShade.Material.Define(stage, f"{LOOKS}/{name}")
+    surface = UsdShade.Shader.Define(stage, f"{LOOKS}/{name}/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    return material, surface
+
+
+class Colours:
+    """Colours of bodies over time, as numbers in a list of those that there are: a byte or two each in the file."""
+
+    def __init__(self, primvar: Any) -> None:
+        self._primvar = primvar
+        known = primvar.Get()  # of a file that is gone on with
+        self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
+        self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
+
+    def set(self, colours: np.ndarray, code: Any) -> None:
+        """RGB bytes (n, 3) at a time code."""
+        from pxr import Vt
+
+        packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+        found, place = np.unique(packed, return_inverse=True)
+        light = linear(np.stack([found >> 16, (found >> 8) & 255, found & 255], axis=1))
+        new = [row for row in light if row.tobytes() not in self._numbers]
+        for row in new:
+            self._numbers[row.tobytes()] = len(self._numbers)
+        if new:
+            self._table = np.concatenate([self._table, new])
+            self._primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self._table, np.float32)))
+        numbers = np.array([self._numbers[row.tobytes()] for row in light], np.int32)
+        self._primvar.SetIndices(Vt.IntArray.FromNumpy(numbers[place.ravel()]), code)
