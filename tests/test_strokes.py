@@ -165,14 +165,17 @@ def test_a_restart_takes_more_than_the_first_start_and_balances_hold(device):
 def test_a_layer_grown_at_rest_takes_its_stress_times_its_area(device):
     """Where slip wears nothing off, the pressure rises by the stress on pi r^2 of every contact, over the section."""
     given = STOPPING | dict(travel=0.06, settle=0.1, shapes="reference", concrete="no2", unit="horizontal", bonds=False)
-    ends, area = [], 0.0
-    for more in ({}, dict(rest=600.0, breakdown=1e3)):
-        simulation = Simulation(scenes.pipe(**given | more), device=device)
-        ends.append(simulation.run()["end_pressure"])
-        _, y, z, radius = simulation.state.spheres.position.numpy().astype(float).T
-        area += 0.5 * math.pi * np.sum(radius[np.hypot(y, z) + radius > 0.04] ** 2)
-    # Of three packings 1, 2 and 5 % more: what presses harder touches at more places.
-    assert ends[1] - ends[0] == pytest.approx(300.0 / COVERAGE * area / (math.pi * 0.04**2), rel=0.08)
+    rise, area = 0.0, 0.0
+    for seed in range(3):  # one packing is 8 to 12 % off, by the waves of the column and what presses harder
+        ends = []
+        for more in ({}, dict(rest=600.0, breakdown=1e3)):
+            simulation = Simulation(scenes.pipe(**given | more, seed=seed), device=device)
+            ends.append(simulation.run()["end_pressure"])
+            _, y, z, radius = simulation.state.spheres.position.numpy().astype(float).T
+            area += 0.5 * math.pi * np.sum(radius[np.hypot(y, z) + radius > 0.04] ** 2)
+        rise += ends[1] - ends[0]
+    # 3.4 % more on a CPU.
+    assert rise == pytest.approx(300.0 / COVERAGE * area / (math.pi * 0.04**2), rel=0.08)
 
 
 def test_strokes_without_a_pause_are_the_plain_run(device):
