@@ -169,6 +169,9 @@ def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
     text = (found.folder / "reproduction.md").read_text()
     assert text.count("| channel | no1 | flow 0.00") == 2 and "Pressure holds" in text
     assert papers.XU_PRINTED["pressure"] == 9.40e3
+    again = reproduce("xu", out=tmp_path / "again", device="cpu", quick=True, known=[tmp_path / "out"])
+    assert again.finished and sorted(path.name for path in again.folder.glob("*/")) == [] and len(again.results) == 2
+    assert (again.folder / "reproduction.md").read_text() == text
 
 
 @pytest.mark.thorough

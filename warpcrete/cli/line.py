@@ -14,7 +14,7 @@ from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements
 from ..studies.line_result import LineResult, lines_of
-from ..studies.line_run import LAYER_FACTOR, run_line
+from ..studies.line_run import CELLS, LAYER_FACTOR, run_line
 from ..studies.lines import PipeLine, friction, read_line, restart, with_stone
 from .run import CHECK_FAILED, INTERRUPTED
 from .theory import growth_of
@@ -34,6 +34,12 @@ def run(
     if theory and method != "flow":
         raise click.UsageError("theory: means nothing with --method; leave out one")
     elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds, stiffer=stiffer)
+    usual = Elements()
+    unused = {"shapes": shapes != usual.shapes, "coarse": coarse is not None, "seeds": seeds != usual.seeds,
+              "stiffer": stiffer != usual.stiffer} if method == "flow" else \
+        {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
+    for option in (name for name, given_so in unused.items() if given_so):
+        raise click.UsageError(f"{option}: means nothing with --method {method}; take both, or leave it out")
     rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
     assert rate is not None
     name = str(concrete or given.concrete)

@@ -37,9 +37,14 @@ def plain(name: str, mix: Mix) -> dict[str, object]:
     return {"name": mix.name, "source": source, "elements": dict(elements), "flow": mix.flow}
 
 
+STIFF = 700.0
+"""Yield stress from which a cone of law mortar stands whole [Pa]."""
+
+
 def _cone(mix: Mix) -> str:
     """Words of the command for the mix's mortar law in a vessel."""
-    found = f"warpcrete run slump --method dem --law mortar --bulk-density {mix['density'].value:.5g}"
+    law = "mortar" if mix["yield stress"].value < STIFF else "plastic"
+    found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
     found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix['viscosity'].value:.4g}"
     given = mix.given
     if given.largest is not None:

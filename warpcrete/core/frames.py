@@ -21,7 +21,8 @@ class Frames:
         if interval is not None:
             positive("frame_interval", interval, "s")
         self._given, self._expected, self._step = interval, expected, step
-        self.interval = min(SLOWEST, expected / LEAST) if interval is None else interval
+        own = min(SLOWEST, expected / LEAST) if expected > 0 else SLOWEST
+        self.interval = own if interval is None else interval
         """Between two frames at the start [s]."""
         self.next = 0.0
         """When the next frame is due [s]."""

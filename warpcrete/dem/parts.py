@@ -89,8 +89,6 @@ class PartElements(
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.ramp is not None and self.travel is not None and self.ramp > self.travel:
-            refuse("ramp", self.ramp, f"must not exceed the travel, {self.travel:g} m")
 
 
 @dataclass(frozen=True)
@@ -140,6 +138,8 @@ def course_of(given: PartElements) -> Course:
     velocity = given.flow / (math.pi * bores.radii[0] ** 2)
     travel = 2 * diameter if given.travel is None else given.travel
     ramp = 0.5 * travel if given.ramp is None else given.ramp
+    if ramp > travel:
+        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "give a longer travel")
     first = axis.pieces[0]
     assert isinstance(first, Line)
     start = np.array(axis.start) - travel * np.array(axis.tangent)

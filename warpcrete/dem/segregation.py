@@ -17,9 +17,8 @@ UNITS = dict.fromkeys(
     "1",
 )
 """Columns of a row. The first four as of a flow of two phases: volume fractions in inner and outer half of the radius,
-front and rear half of the concrete; shares of stones larger than
-the mean in the aggregate of both halves of the radius; Lacey's
-mixing index of large and small stones."""
+front and rear half of the concrete; shares of stones larger than the mean in the aggregate of both halves of the
+radius; Lacey's mixing index of large and small stones."""
 POINTS = 64
 """In each sphere, that stand for its volume."""
 ENDS = 0.05

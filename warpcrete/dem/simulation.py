@@ -238,13 +238,8 @@ class ElementSimulation(Simulation):
         """Let go of the device's memory; the run's results stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        for name in (
-            "state",
-            "stepper",
-            "sampler",
-            "watch",
-            "blockage",
-        ):  # a run may have failed before it had them all
+        # A run may have failed before it had them all.
+        for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 
     # Samples and results.

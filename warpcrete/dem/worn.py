@@ -34,11 +34,22 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
     scene = known.scene
     if scene.pipe is None or scene.pressure is None or not known.series["travel"][-1] > 0:
         return None
-    return wall.mean_depth() / (np.pi * scene.pipe.radius**2 * known.series["travel"][-1])
+    return wall.mean_depth(covered(wall, scene)) / (np.pi * scene.pipe.radius**2 * known.series["travel"][-1])
 
 
-def _mean(wall: WornWall, column: int) -> float:
-    return float(wall.done[:, column].sum() / wall.patches.areas.sum())
+def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
+    """Patches of the stretch of a pipe that aggregates touched; all of other walls."""
+    found = places(wall, scene)
+    touched = wall.done[:, 2] > 0
+    if found is None or not touched.any():
+        return slice(None)
+    s = found[0]
+    return (s >= s[touched].min()) & (s <= s[touched].max())
+
+
+def _mean(wall: WornWall, known: Any, column: int) -> float:
+    chosen = covered(wall, known.scene)
+    return float(wall.done[chosen, column].sum() / wall.patches.areas[chosen].sum())
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
@@ -63,16 +74,20 @@ def _place(wall: WornWall, known: Any, which: int, factor: float) -> float | Non
 
 
 QUANTITIES = (
-    Quantity("wear_sliding_energy", "J/m2", _of(lambda wall, known: _mean(wall, 0))),
+    Quantity("wear_sliding_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 0))),
     Quantity("wear_largest_sliding_energy", "J/m2", _of(lambda wall, known: wall.sliding.max())),
-    Quantity("wear_impact_energy", "J/m2", _of(lambda wall, known: _mean(wall, 1))),
-    Quantity("wear_depth_per_hour", "m/h", _of(lambda wall, known: _hourly(wall.mean_depth(), known))),
+    Quantity("wear_impact_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 1))),
+    Quantity(
+        "wear_depth_per_hour",
+        "m/h",
+        _of(lambda wall, known: _hourly(wall.mean_depth(covered(wall, known.scene)), known)),
+    ),
     Quantity("wear_largest_depth_per_hour", "m/h", _of(lambda wall, known: _hourly(wall.depth.max(), known))),
     Quantity("wear_depth_per_volume", "m/m3", _of(_by_volume)),
     Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
     Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
 )
-"""Of the wall that holds the concrete: means over its area and the worst patch, since t = 0."""
+"""Of the wall that holds the concrete: means over the stretch that it touched, and the worst patch, since t = 0."""
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:

@@ -192,6 +192,8 @@ def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
         refuse("mix sieve", given, "must be two openings or more, and what passes them", example)
     opened = {amount("mix sieve: opening", key if isinstance(key, str) else f"{key} mm", "m"): value
               for key, value in given.items()}  # fmt: skip
+    if len({isinstance(value, str) for value in opened.values()}) > 1:
+        refuse("mix sieve", dict(given), "mixes numbers with and without a unit", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
     if passing[-1] == 100:
         passing = [value / 100 for value in passing]
@@ -223,7 +225,7 @@ def _shape(given: Any) -> str:
     if isinstance(given, int | float) and not isinstance(given, bool):
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"
-    if given not in SHAPES:
+    if not isinstance(given, str) or given not in SHAPES:
         refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}", "or longest over shortest width, from 1 on")
     return SHAPES[given]
 

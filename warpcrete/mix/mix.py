@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..core.concretes import NamedConcrete, concrete, known_only
-from ..core.errors import positive, refuse
+from ..core.errors import between, positive, refuse
 from ..theory.pipe import Concrete
 from .figures import Figure, agreed, around, short
 from .given import OFF, Given, read
@@ -174,7 +175,9 @@ def _named(key: str, value: Any) -> Figure:
     """A constant that the section `flow` has."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         refuse(f"concrete flow {key}", value, "must be a number")
-    if key not in ("yield_stress", "slip_yield"):
+    if key in ("yield_stress", "slip_yield"):
+        between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
+    else:
         positive(f"concrete flow {key}", value, UNITS[key])
     return Figure(FLOW[key], value, value, value, UNITS[key], "flow", "as given")
 

@@ -32,6 +32,8 @@ PROFILES = (0.2, 0.5, 0.8)
 """Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
 BREAKING = 6.0
 """Slips by which a layer's structure falls to 1/e, after which a flow ends all the same."""
+SLIPS = 0.1
+"""Slip over the mean velocity below which nobody waits until a layer is broken."""
 BROKEN = 0.01
 """Part that may be left of what a layer gained at rest in a steady flow."""
 APART = 5e-3
@@ -64,8 +66,14 @@ class FluidSimulation(FlowRun):
         """Simulated time of the whole run, at most [s]."""
         if self.scene.duration is not None:
             return self.scene.duration
-        breaking = BREAKING * self.scene.breakdown / self.scene.velocity if self.scene.gained else 0.0
+        breaking = BREAKING * self.scene.breakdown / self.scene.theory().slip_velocity if self._breaks else 0.0
         return max(LONGEST, breaking)
+
+    @property
+    def _breaks(self) -> bool:
+        """Slip breaks what a layer gained at rest, within some time."""
+        scene = self.scene
+        return bool(scene.gained) and scene.theory().slip_velocity > SLIPS * scene.velocity
 
     @property
     def expected_duration(self) -> float:
@@ -103,7 +111,7 @@ class FluidSimulation(FlowRun):
     def ended_early(self) -> bool:
         """The flow is steady, and no duration was asked for."""
         now, part = self._rows[-1], self.scene.steadiness
-        if self.scene.gained and now["layer_gained"] > BROKEN * self.scene.gained:
+        if self._breaks and now["layer_gained"] > BROKEN * self.scene.gained:
             return False  # it may break so slowly that nothing else shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):

@@ -15,6 +15,9 @@ from ..core.parameters import declared_fields
 from ..core.run import Run, Table
 from ..scenes import modules
 
+TABLES = ("stations",)
+"""That a run may have beside its series."""
+
 
 def load(folder: Path | str) -> Run:
     """The run in a folder, as far as it got: scene, series, quantities.
@@ -41,7 +44,7 @@ def load(folder: Path | str) -> Run:
     path = folder / "result.json"
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")
-    tables = {path.stem: Table(*_series(path)) for path in folder.glob("*.csv") if path.name != "series.csv"}
+    tables = {name: Table(*_series(folder / f"{name}.csv")) for name in TABLES if (folder / f"{name}.csv").is_file()}
     return Run(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
 
 

@@ -277,11 +277,15 @@ def _parameters(
     if pressed:
         own["plug_pressure"] = PRESSURE * own["modulus"]
     narrow = min(min(each.diameter, each.outlet) for each in line.parts)
-    factor = elements.coarse or max(1.0, WIDEST * narrow / given.size_max)
+    ranged = given.sizes in ("gaussian", "uniform")
+    sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
+    least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
+    factor = elements.coarse or max(1.0, WIDEST * narrow / most)
     # The plug's balls, which are small, would set the time step.
-    own["plug_ball"] = max(factor * given.plug_ball, min(factor * given.size_min, narrow / 5))
-    sizes = {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
-    return own | (sizes if given.sizes in ("gaussian", "uniform") else {})
+    own["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrow / 5))
+    if not ranged:
+        return own | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
+    return own | {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
 
 
 def _called(key: tuple[Any, ...], part: Part, seed: int) -> str:

@@ -49,10 +49,9 @@ def reproduce(
     if seeds < 1:
         refuse("seeds", seeds, "must be 1 or more")
     columns, rows = chosen(paper, only)
-    taken: dict[str, dict[str, Any]] = {"results": {}, "failures": {}}
+    taken: dict[str, Any] = {}
     for folder in known:
-        for kind, found in _results(folder, paper, quick).items():
-            taken[kind] |= found
+        taken |= _results(folder, paper, quick)
     check_new(out)
     out.mkdir(parents=True)
     write_json(out / KNOWN, taken)
@@ -67,10 +66,9 @@ def resume_reproduction(
     """Go on with a reproduction: runs that are finished are used."""
     record = read_json(folder / RECORD)
     found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
-                         tuple(record["columns"]), tuple(record["rows"]))  # fmt: skip
-    known = read_json(folder / KNOWN)
-    found.results |= known["results"]
-    found.failures |= known["failures"]
+                         tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip
+    if (folder / KNOWN).is_file():
+        found.results |= read_json(folder / KNOWN)
     studies = zhan_studies(found) if found.paper == "zhan" else xu_studies(found)
     tell = progress or (lambda phase, fraction, figures: None)
     try:
@@ -106,15 +104,15 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     return columns, rows
 
 
-def _results(folder: Path, paper: str, quick: bool) -> dict[str, dict[str, Any]]:
-    """Results and failures of an earlier reproduction of the same kind."""
+def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
+    """Results of an earlier reproduction of the same kind; what failed is run again."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
         raise RunFolderError(f"known = '{folder}': holds no results of a reproduction")
     record = read_json(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
         refuse("known", str(folder), f"is of {record.get('paper')}{', quick' if record.get('quick') else ''}",
                f"take one of {paper}{', quick' if quick else ''}")  # fmt: skip
-    return read_json(folder / "results.json")
+    return read_json(folder / "results.json")["results"]
 
 
 def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
@@ -139,8 +137,7 @@ def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any
     cases = units + [zhan_case(row, value, found.quick) for row in rows for value in row.values]
     each = [{**case, **overrides(name), "seed": seed} for case in cases for seed in range(found.seeds)]
     group = f"{name}, hydrated" if hydrated else name
-    done = {*found.results, *found.failures}
-    return _once([case for case in each if key_of(group, case) not in done])
+    return _once([case for case in each if key_of(group, case) not in found.results])
 
 
 def xu_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
@@ -148,10 +145,10 @@ def xu_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]
     studies = []
     for group, cases in xu_cases(found.quick).items():
         for scene in dict.fromkeys(scene for scene, _ in cases):
-            studies.append(
-                (f"{group}, {scene}", scene, _once([{**case, "seed": 0} for s, case in cases if s == scene]))
-            )
-    return studies
+            name = f"{group}, {scene}"
+            each = _once([{**case, "seed": 0} for s, case in cases if s == scene])
+            studies.append((name, scene, [case for case in each if key_of(name, case) not in found.results]))
+    return [study for study in studies if study[2]]
 
 
 def _once(cases: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
