@@ -132,6 +132,51 @@ def test_a_flow_s_profile_stands_beside_theory():
     assert theory[1] == pytest.approx(100 * exact) and simulation.display().cut is None
 
 
+def bars(path, entity):
+    """Places and values of a profile in a recording, one pair a frame."""
+    held = columns(path, f"/profile/{entity}")
+    return [tuple(np.array(held[f"BarChart:{name}"][k][0]["buffer"]) for name in ("abscissa", "values"))
+            for k in range(len(held["time"]))]  # fmt: skip
+
+
+def test_stress_along_a_column_at_rest_is_what_stands_on_it(tmp_path):
+    """Without friction, of the weight above and the plate's force, by the bodies themselves; in kPa over m."""
+    given = dict(concrete="zhan-table1", bonds=False, friction=0.0, wall_friction=0.0, modulus=1e6, settle=2.0,
+                 unit="vertical", diameter=0.08, straight=0.15, size_min=12e-3, size_max=20e-3, slices=1.5,
+                 plug="plate", plug_pressure=200.0, flow=5e-6, travel=2e-5, ramp=0.0)  # fmt: skip
+    simulation = Simulation(scenes.part_dem(**given), device="cpu", recorders=[RerunRecorder(tmp_path / "run.rrd")])
+    run = simulation.run()
+    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("along_the_pipe", "mean_normal"))
+    assert len(along) == len(mean) == len(run.series["time"])  # as short as this, each row has a frame
+    z, mass = simulation.state.bodies.position.numpy()[:, 2], simulation.state.bodies.mass.numpy()
+    for number, ((left, stress), (right, _)) in enumerate(zip(along, mean)):
+        place = 0.5 * (left + right)  # bars stand side by side
+        slices = np.arange(6)[number == len(along) - 1 :][: len(place)]  # the piston is past the edge of the first
+        assert place == pytest.approx(0.05 * slices + 0.025) and len(place) >= 4
+        above = [200 + 9.81 * mass[z > s].sum() / (np.pi * 0.04**2) for s in place]
+        assert 1e3 * stress == pytest.approx(above, rel=0.02)  # measured 1.4 %: stones are counted by their centres
+    last = simulation.sampler.log.samples[-1]
+    assert 1e3 * mean[-1][1] == pytest.approx(last[np.isfinite(last[:, 0]), 0])
+
+
+def test_pressure_along_an_upright_part_is_weight_and_friction(tmp_path):
+    """Both fall in proportion to what is ahead; at the start it is what the series has."""
+    paste = dict(concrete="own", density=2300.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=900.0, slip_yield=0.0)
+    scene = scenes.part(unit="vertical", straight=0.2, spacing=0.0125, **paste)
+    run = Simulation(scene, device="cpu", threads=1, recorders=[RerunRecorder(tmp_path / "run.rrd")]).run()
+    ours, theory = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("this_run", "theory"))
+    assert len(ours) == len(theory) > 5
+    (left, pressure), (right, expected) = ours[-1], theory[-1]
+    place, length = 0.5 * (left + right), 0.4
+    exact = (scene.theory(0.0).pressure + 2300 * 9.81) * (length - place)
+    assert 1e3 * expected == pytest.approx(exact, rel=1e-6)
+    assert 1e3 * ours[0][1] == pytest.approx(2300 * 9.81 * (length - place))  # friction comes with flow
+    inner = (place > 0.0625) & (place < length - 0.0625)
+    assert pressure[inner] == pytest.approx(expected[inner], abs=2e-3 * expected[0])  # measured 1.5e-3
+    at_start = np.polyval(np.polyfit(place[inner], pressure[inner], 1), 0.0)
+    assert 1e3 * at_start == pytest.approx(run.series["pressure"][-1], rel=1e-3)
+
+
 def test_a_cut_leaves_what_lies_behind_the_axis():
     simulation = Simulation(scenes.tube(**TUBE), device="cpu", threads=1)
     simulation.prepare()

@@ -27,6 +27,9 @@ DRAWN = {
     "funnel": (lambda: scenes.funnel(**PASTE, spacing=0.015, duration=0.02, sample_interval=5e-3), "speed", False),
     "part": (lambda: scenes.modules()["part"].scene(concrete="no1", unit="bend-to-vertical", spacing=0.0125,
                                                     duration=0.02, sample_interval=5e-3), "pressure", False),
+    "part of elements": (lambda: scenes.part_dem(unit="horizontal", diameter=0.08, straight=0.1, size_min=12e-3,
+                                                 size_max=20e-3, travel=4e-3, ramp=0.0, settle=0.0, flow=1e-3,
+                                                 plug="plate", sample_interval=1e-3), "force", False),
 }  # fmt: skip
 
 
@@ -72,7 +75,7 @@ def contents(folder, run):
     entities = {str(c.entity_path) for c in RrdReader(str(folder / "run.rrd")).stream().to_chunks() if not c.is_static}
     found = {}
     for entity in sorted(entities):
-        if entity.startswith(("/scene", "/pressure", "/shape", "/slip", "/energy", "/friction")):
+        if entity.startswith(("/scene", "/pressure", "/shape", "/slip", "/energy", "/friction", "/profile")):
             held = columns(folder / "run.rrd", entity)
             found |= {f"{entity} {column}": [str(v) for v in values] for column, values in held.items()}
     stage = Usd.Stage.Open(str(folder / "scene.usdc"))

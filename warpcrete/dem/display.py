@@ -24,6 +24,7 @@ from ..core.display import (
 )
 from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_of, listed_forces, pairs_of
+from .stations import COLUMNS
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
@@ -31,7 +32,9 @@ WORN = (255, 255, 255, 215)
 WEAR_PALETTE = "magma_r"
 """Another one than that of stones; pale where nothing is worn."""
 BONDS = (230, 140, 30)
-OURS = (215, 95, 30)
+OURS, MEAN = (215, 95, 30), (90, 120, 170)
+ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
+"""Stresses of stations: what they are called, their column, their colour."""
 STRONGEST, THINNEST = 0.12, 0.04
 """Of the largest aggregate, a chain's radius at the top of the colours' scale; of that, one that carries nothing."""
 RINGS = 10
@@ -138,11 +141,30 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Velocity over the radius of a pipe."""
-        if self.simulation.scene.pipe is None:
-            return ()
-        title = "Velocity [cm/s] over radius [mm]"
-        return (Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)),)
+        """Velocity over the radius of a pipe, and stresses along one that has stations."""
+        scene, found = self.simulation.scene, []
+        if scene.pipe is not None:
+            title = "Velocity [cm/s] over radius [mm]"
+            found.append(Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)))
+        if scene.stations is not None:
+            curves = tuple(Points(name, lambda c=column: self._stresses(c), colour) for name, column, colour in ALONG)
+            found.append(Profile("pressure", "Pressure [kPa] over the way along the pipe [m]", curves))
+        return tuple(found)
+
+    def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
+        """Middles of the slices that are full [m] and what they bear [kPa], as of the last row of the series: to
+        measure for each frame besides would cost the run, and a row is a hundredth of a second old at most by default.
+        """
+        stations, last = self.simulation.scene.stations, self.once("stations", self._last_stations)
+        values = last[:, COLUMNS.index(column)]
+        full = np.isfinite(values)
+        return (stations.places - stations.origin)[full], values[full] / 1e3
+
+    def _last_stations(self) -> np.ndarray:
+        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
+        if sampler is None or not sampler.log.samples:
+            return np.full((len(self.simulation.scene.stations.places), len(COLUMNS)), np.nan)
+        return sampler.log.samples[-1]  # no row is written to again
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;

@@ -7,15 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, on_palette
+from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile, on_palette
 from .layout import Frame
+from .probes import loss_along
 from .scene import PartScene
 
 MOST = 12000
 """Particles that are drawn."""
 SIDES, RINGS = 48, 60
 """Of round walls as they are drawn, around and along."""
-OURS, OTHER_LINE = (215, 95, 30), (90, 120, 170)
+OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
 class PartDisplay(Display):
@@ -87,6 +88,38 @@ class PartDisplay(Display):
                 Curve("downstream", "downstream [kPa/m]", lambda row: 1e-3 * row["downstream_gradient"], OTHER_LINE),
             )),
         )  # fmt: skip
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Pressure along the axis, beside that of straight pipes by theory."""
+        return (Profile("pressure", "Pressure [kPa] over the way along the axis [m]", (
+            Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
+        )),)  # fmt: skip
+
+    def _ahead(self) -> tuple[np.ndarray, np.ndarray]:
+        """Arc lengths [m] and the friction ahead there [Pa]."""
+        return self.once("friction ahead", lambda: loss_along(self.simulation.flow))
+
+    def _weight(self, place: np.ndarray) -> np.ndarray:
+        """Of the concrete that stands above a place, up to the end [Pa]."""
+        scene = self._scene
+        height = scene.axis.at(np.append(place, scene.axis.length))[0][:, 2]
+        return scene.concrete.density * scene.gravity * (height[-1] - height[:-1])
+
+    def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
+        """Arc lengths [m] and the mean pressure of each section, with the concrete's weight [kPa]."""
+        place, friction = self._ahead()
+        return place, (friction + self._weight(place)) / 1e3
+
+    def _expected(self) -> tuple[np.ndarray, np.ndarray]:
+        place = self._ahead()[0]
+        return place, (np.interp(place, *self._friction) + self._weight(place)) / 1e3
+
+    @cached_property
+    def _friction(self) -> tuple[np.ndarray, np.ndarray]:
+        """Arc lengths [m] and the friction ahead there by theory [Pa]."""
+        end = self._scene.axis.length
+        s = np.linspace(0, end, RINGS)
+        return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
 
     def walls(self) -> list[DrawnWall]:
         """The bore."""
