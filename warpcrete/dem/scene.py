@@ -307,8 +307,9 @@ class Rest(Declared):
     Static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006): so much is added to tensile strength
     and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls. Bonds that held keep
     their loads; contacts without one are bonded without load; hydrated ones and those of groups stay as they were. A
-    bond that breaks then is broken for good, or, of bonds that heal, as strong as before the rest. What the layer gained is worn off by slip, as exp(-slip / breakdown), the
-    travel of `wall` since then being the slip everywhere, as for a plug. Nothing moves meanwhile.
+    bond that breaks then is broken for good, or, of bonds that heal, as strong as before the rest. What the layer
+    gained is worn off by slip, as exp(-slip / breakdown), the travel of `wall` since then being the slip everywhere, as
+    for a plug. Nothing moves meanwhile.
     """
 
     called = "rest"
