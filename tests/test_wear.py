@@ -14,6 +14,7 @@ from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Wear
 from warpcrete.dem.wear import PipePatches
+from warpcrete.dem.worn import covered
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 
@@ -179,8 +180,12 @@ def test_counting_wear_changes_nothing_else(device, case):
         assert run["end_pressure"] == pytest.approx(plain["end_pressure"], rel=0.03)
     assert not [name for name in plain.result if name.startswith("wear")] and plain.wear is None
     pipe = run.wear.main
+    chosen = covered(pipe, run.scene)
+    assert np.all(pipe.done[~chosen] == 0)
+    part = pipe.patches.areas[chosen].sum() / pipe.patches.areas.sum()
+    assert 0.3 < part < 0.95, "the pipe is longer than what concrete reaches"
     assert pipe.name == "pipe" and run["wear_depth_per_hour"] == pytest.approx(
-        3600 * pipe.mean_depth() / run.series["time"][-1]
+        3600 * pipe.mean_depth(chosen) / run.series["time"][-1]
     )
     assert run["wear_largest_depth_per_hour"] > run["wear_depth_per_hour"]
     assert 0 <= run["wear_worst_angle"] < 360 and 0 < run["wear_worst_along"] < 0.4
