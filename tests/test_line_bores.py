@@ -139,12 +139,20 @@ def test_a_bore_lies_between_straight_pipe(tmp_path):
     assert np.array_equal(one, other) and one.min() > 0.009
 
 
+def test_a_bend_takes_no_bore_alone(tmp_path):
+    path = tube(tmp_path / "valve.stl", [0.0625, 0.0625])
+    given = {"wall": str(path), "wall_scale": 1e-3, "diameter": 0.125, "straight": 0.4, "bore_length": 0.25}
+    with pytest.raises(SceneError, match=r"^bore_length = 0\.25: is of a straight unit; take unit horizontal"):
+        scenes.part(unit="bend-level", concrete="no1", **given)
+    assert scenes.part(unit="horizontal", concrete="no1", **given).insert == (0.4, 0.65)
+
+
 def test_no_place_of_the_joints_lets_concrete_out(tmp_path):
     """In the planes where mesh and pipe meet, and beside them, what lies out of the bore is out of it."""
-    tube(tmp_path / "valve.stl", [0.0625, 0.05])
+    tube(tmp_path / "valve.stl", [0.0625, 0.05], begin=1.5e-4, length=0.2497)  # as far off as it may be
     scene = scene_of(line(tmp_path, outlet="100 mm").parts[1])
     begin, end = scene.insert
-    s = np.concatenate([place + np.array([-1e-3, -1e-6, 0, 1e-6, 1e-3]) for place in (begin, end)])
+    s = np.concatenate([place + np.array([-1e-3, -1e-4, 0, 1e-4, 1e-3]) for place in (begin, end)])
     for r, inside in ((1.05, False), (0.95, True)):
         radius = r * np.interp(s, [begin, end], [0.0625, 0.05])
         places = np.column_stack([s, radius * np.cos(0.3), radius * np.sin(0.3)])
