@@ -12,6 +12,7 @@ from warpcrete.core.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.parameters import Above, Needs, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.mesh_parts import between_pipes
 from warpcrete.geometry.meshes import load
 from warpcrete.geometry.walls import MeshWall
 from warpcrete.mps.column import FLOW, ConcreteParameters
@@ -47,6 +48,9 @@ class PartParameters(ConcreteParameters, PartSettings):
     wall_scale: Annotated[
         float, "of the mesh file's unit: 0.001 for mm", Needs("wall", _is_given, "is given"), Above()
     ] = 1.0
+    bore_length: Annotated[float | None, "of a mesh that is the middle of a straight unit alone: round pipe of "
+                           "diameter is put before it and of outlet_diameter behind [m]",
+                           Needs("wall", _is_given, "is given"), Above()] = None  # fmt: skip
     flow: Annotated[float, "volume flow [m3/s]", Above()] = FLOW
     spacing: Annotated[float, "of the cells [m]; the nearest that divides the radius is taken", Above()] = 0.01
 
@@ -61,19 +65,26 @@ def scene(parameters: PartParameters) -> PartScene:
     bends = given.unit.startswith("bend")
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     axis, taper = _axis(given, bends), None
-    if given.outlet_diameter is not None:
-        if given.wall is not None:
-            refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+    if given.outlet_diameter is not None and given.wall is not None and given.bore_length is None:
+        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+    if given.outlet_diameter is not None and given.wall is None:
         before = axis.length - given.straight - given.taper if bends else given.straight
         taper = (before, before + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
     narrow = min(given.diameter, given.outlet_diameter or given.diameter) / 2
     Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
-    wall = None
+    wall = insert = None
     if given.wall is not None:
         if given.slip_thickness > 0:
             refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
         mesh = load(given.wall, "wall", given.wall_scale)
-        wall = MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces)
+        vertices, faces = mesh.vertices, mesh.faces
+        if given.bore_length is not None:
+            if bends:
+                refuse("bore_length", given.bore_length, "is of a straight unit", "take unit horizontal or vertical")
+            insert = (given.straight, given.straight + given.bore_length)
+            radii = (given.diameter / 2, (given.outlet_diameter or given.diameter) / 2)
+            vertices, faces = between_pipes(mesh, axis, insert, radii)
+        wall = MeshWall(name=str(given.wall), vertices=vertices, faces=faces)
     radius = given.diameter / 2 - given.slip_thickness
     return PartScene(
         name="part",
@@ -84,6 +95,7 @@ def scene(parameters: PartParameters) -> PartScene:
         spacing=given.spacing,
         taper=taper,
         wall=wall,
+        insert=insert,
         remarks=REMARKS,
         parameters=asdict(given),
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
@@ -95,6 +107,8 @@ def _axis(given: PartParameters, bends: bool) -> Axis:
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     # The cone lies in the middle of a straight unit, and a stretch behind a bend.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
+    if given.wall is not None and given.bore_length is not None:
+        narrowing = given.straight + given.bore_length
     if not bends:
         return Axis(
             origin, up if given.unit == "vertical" else along, (Line(given.straight + (narrowing or given.straight)),)

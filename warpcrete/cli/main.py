@@ -342,7 +342,11 @@ both by both, in one table.
                                                   # the way there
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
+    - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
+
+A bore is a mesh that begins at its origin and leads along its x; its file is sought beside LINE.yaml, its outlet is the
+line's diameter unless told. It holds the bore alone: straight pipe is put before and behind it. Flows alone take it.
 
 Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check of a part failed.
 """

@@ -15,7 +15,7 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, FileIf, Needs, OneOf, Within, declared_fields
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
-from ..geometry.lines import PipeLine, read_line
+from ..geometry.lines import PipeLine, read_line, without_meshes
 from .concretes import elements_of
 from .pumping import (
     COARSENINGS,
@@ -123,7 +123,7 @@ def course_of(given: PartElements) -> Course:
     """Axis and bores of a part, or of a line, with the piston's run-up before them."""
     line = None
     if given.line is not None:
-        line = read_line(given.line)
+        line = without_meshes(read_line(given.line), "line")
         axis, bores = line.axis, line.bores
         odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
         ends = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])

@@ -15,7 +15,8 @@ from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from .axis import Arc, Axis, Line
 from .bores import Bores
-from .curves import begins, through
+from .curves import begins, distances, through
+from .mesh_parts import MeshBore, bore_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
@@ -24,6 +25,7 @@ PARTS = {
     "bend": ("angle", "radius", "to"),
     "reducer": ("to", "length"),
     "hose": ("points", "layer"),
+    "bore": ("file", "scale", "length", "outlet"),
 }
 """Kinds of parts, and what each may say."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
@@ -68,6 +70,13 @@ class Part:
     """Of a hose: what it takes over straight pipe of its length."""
     layer: float = 1.0
     """Of a hose: its slip layer's resistance over that of a pipe."""
+    mesh: MeshBore | None = None
+    """Of a bore from a mesh file."""
+
+    @property
+    def narrow(self) -> float:
+        """Least that is free across its axis [m]."""
+        return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
 
     @property
     def by_length(self) -> bool:
@@ -81,6 +90,8 @@ class Part:
             return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
         if self.kind == "reducer":
             return f"{1e3 * self.diameter:g} to {1e3 * self.outlet:g} mm"
+        if self.mesh:
+            return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
         if self.kind == "hose":
             return f"hose, rises {self.rise:.3g} m"
         slope = self.rise / self.length
@@ -92,7 +103,8 @@ class Part:
         """The same for parts that lose the same, a straight one by the metre."""
         if self.by_length:
             return ("straight", self.diameter, self.layer)
-        return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle)
+        shape = self.mesh.digest if self.mesh else ""
+        return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle, shape)
 
 
 @dataclass(frozen=True)
@@ -131,10 +143,10 @@ class PipeLine:
     def remarks(self) -> list[str]:
         """What a reader should know of it."""
         found = []
-        narrow = min(min(part.diameter, part.outlet) for part in self.parts)
+        narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING * self.largest_stone:
-            found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:g} mm may block: less "
-                         f"than {BLOCKING:g} of them lie across it")  # fmt: skip
+            found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
+                         f"less than {BLOCKING:g} of them lie across it")  # fmt: skip
         return found
 
 
@@ -154,13 +166,13 @@ def read_line(name: Path | str) -> PipeLine:
     given = dict(read_yaml(path, "line"))
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
-    return line_of(given, path.stem)
+    return line_of(given, path.stem, path.parent)
 
 
-def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
+def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
     """A line from the contents of such a file: `parts`, each a mapping of its kind to what it says of it, the
     `diameter` that the first has, and which way it begins; and, where they are known, `flow`, `concrete`,
-    `largest_stone`, `source`, `recorded`.
+    `largest_stone`, `source`, `recorded`. Mesh files are sought from `folder`.
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must be 'key: value' lines, or a mapping of such")
@@ -175,7 +187,7 @@ def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
     begin = given.get("begin", "level")
     one_of("begin", begin, BEGINS)
     stone = _above("largest_stone", given["largest_stone"], "m") if "largest_stone" in given else None
-    course = _Course(np.array(BEGINS[begin]), diameter)
+    course = _Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):
         course.add(number, entry)
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
@@ -195,9 +207,9 @@ def line_of(given: Mapping[str, Any], name: str = "line") -> PipeLine:
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """The line of a concrete whose largest stone [m] is known. Raises :class:`SceneError` where it does not pass."""
     for part in line.parts:
-        if stone is not None and stone >= min(part.diameter, part.outlet):
+        if stone is not None and stone >= part.narrow:
             refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
-                   f"{min(part.diameter, part.outlet):g} m", "take a wider pipe or a smaller stone")  # fmt: skip
+                   f"{part.narrow:.6g} m", "take a wider pipe or a smaller stone")  # fmt: skip
     return replace(line, largest_stone=stone)
 
 
@@ -210,8 +222,8 @@ def _above(field: str, given: Any, unit: str) -> float:
 class _Course:
     """Where a line has come to, part by part."""
 
-    def __init__(self, tangent: np.ndarray, diameter: float) -> None:
-        self.tangent, self.diameter = tangent, diameter
+    def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
+        self.tangent, self.diameter, self.folder = tangent, diameter, folder
         self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
         """Level direction in which the line last went."""
         self.parts: list[Part] = []
@@ -335,6 +347,27 @@ class _Course:
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), Line(length)
 
+    def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
+        field, file = f"part {number}, bore", said.get("file")
+        if not isinstance(file, str) or not file:
+            refuse(f"{field}: file", file, "must name a mesh file", "as 'file: valve.stl'")
+        length, outlet, scale = get("length", "m"), get("outlet", "m", self.diameter), get("scale", "1", 1.0)
+        for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
+            positive(f"{field}: {key}", value, "" if key == "scale" else "m")
+        path = (self.folder / file).resolve()
+        mesh = bore_of(field, path, scale, length, (self.diameter, outlet))
+        rise = length * float(self.tangent[2])
+        return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), Line(length)
+
+
+def without_meshes(line: PipeLine, field: str) -> PipeLine:
+    """The line. Raises :class:`SceneError` for one with a bore from a mesh, which elements do not know."""
+    for part in line.parts:
+        if part.mesh:
+            refuse(field, line.name, f"has a bore from a mesh, part {part.number}, which is simulated as a flow alone",
+                   "take --method flow, or a reducer in its place")  # fmt: skip
+    return line
+
 
 def _check_crossing(line: PipeLine) -> None:
     """Refuse a line that meets itself."""
@@ -359,17 +392,3 @@ def _check_crossing(line: PipeLine) -> None:
         if len(near):
             refuse("parts", [int(number[k]), int(number[near[0]])], "meet: the line crosses itself there",
                    "lead it another way")  # fmt: skip
-
-
-def distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Least distances [m] of a segment (2, 3) from each of others (n, 2, 3) (Ericson 2005, 5.1.9)."""
-    first, second, between = one[1] - one[0], others[:, 1] - others[:, 0], one[0] - others[:, 0]
-    a, e, f = first @ first, np.sum(second**2, 1), np.sum(second * between, 1)
-    b, c = second @ first, between @ first
-    determinant = a * e - b * b
-    skew = determinant > 1e-12 * a * e
-    s = np.where(skew, np.clip((b * f - c * e) / np.where(skew, determinant, 1.0), 0, 1), 0.0)
-    t = (b * s + f) / e
-    s = np.where((t < 0) | (t > 1), np.clip((b * np.clip(t, 0, 1) - c) / a, 0, 1), s)
-    gap = one[0] + s[:, None] * first - others[:, 0] - np.clip(t, 0, 1)[:, None] * second
-    return np.linalg.norm(gap, axis=1)

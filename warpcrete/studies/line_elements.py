@@ -26,7 +26,7 @@ from ..record.loading import load
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from .line_run import GRAVITY, folder_name, free_folder, known_folder
-from .lines import Part, PipeLine
+from .lines import Part, PipeLine, without_meshes
 
 SCENE = "part-dem"
 STRAIGHT = 3.0
@@ -214,7 +214,7 @@ def run_elements(
     `out`, and those in `known`, the folder of an earlier line, are taken. Raises :class:`SceneError` for settings that
     make no scene, and the error of the first run that ended in one.
     """
-    elements = elements or Elements()
+    elements, line = elements or Elements(), without_meshes(line, "line")
     if known is not None and not (known / "parts").is_dir():
         refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
     kinds = dict(_kinds(line))

@@ -79,7 +79,9 @@ def run_line(
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
         called = folder_name(part) + ("" if part.by_length else f"-cells-{cells}")
-        folder = None if known is None else known_folder(known / "parts", scenes[key])
+        folder = (
+            None if known is None else known_folder(known / "parts", scenes[key], part.mesh.digest if part.mesh else "")
+        )
         result = None if folder is None else read_json(folder / "result.json")
         if result is None:
             recorders: list[Recorder] = [] if out is None else [TableRecorder(free_folder(out / "parts" / called))]
@@ -112,12 +114,15 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
         spacing = part.diameter / TUBE_CELLS
         step = min(5e-4, 0.4 * spacing / (flow / (math.pi * part.diameter**2 / 4)))
         return "tube", {**own, "ends": "periodic", "spacing": spacing, "time_step": step}
-    narrow, wide = min(part.diameter, part.outlet), max(part.diameter, part.outlet)
+    narrow, wide = part.narrow, max(part.diameter, part.outlet)
     spacing = narrow / cells
     fastest = flow / (math.pi * narrow**2 / 4)
     own |= {"spacing": spacing, "straight": AHEAD * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
     if part.kind == "bend":
         return "part", {**own, "unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
+    if part.mesh:
+        own |= {"wall": part.mesh.file, "wall_scale": part.mesh.scale, "bore_length": part.length}
+        return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet}
     return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet, "taper": part.length}
 
 
@@ -133,13 +138,17 @@ def folder_name(part: Part) -> str:
     if part.by_length:
         layer = "" if part.layer == 1 else f"-layer-{part.layer:g}"
         return f"straight-{1e3 * part.diameter:g}{layer}"
+    if part.mesh:
+        return f"bore-{1e3 * part.diameter:g}-{1e3 * part.outlet:g}-{part.length:g}-{part.mesh.digest}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
     return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
 
 
-def known_folder(folder: Path, scene: Any) -> Path | None:
-    """Of a finished run of that very scene in a folder of runs."""
+def known_folder(folder: Path, scene: Any, digest: str = "") -> Path | None:
+    """Of a finished run of that very scene in a folder of runs; a mesh file is known by its `digest` in the name."""
     for here in sorted(folder.iterdir()):
+        if digest not in here.name:
+            continue
         record = here / "scene.json"
         if record.is_file() and (here / "result.json").is_file():
             same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))

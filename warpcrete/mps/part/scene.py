@@ -70,6 +70,8 @@ class PartScene(Parametrised, PartSettings):
     """Arc lengths between which a cone leads to another radius, and that radius [m]."""
     wall: MeshWall | None = None
     """Instead of the round pipe: a mesh, of which what the axis sees is the bore."""
+    insert: tuple[float, float] | None = None
+    """Arc lengths between which a mesh is more than round pipe [m]; None: as it is found."""
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -128,7 +130,9 @@ class PartScene(Parametrised, PartSettings):
             refuse("wall", self.wall.name, f"has gaps along the axis: {np.count_nonzero(reach < 0)} of {reach.size} "
                    "probes find no wall", "close its holes, or move it so that it lies about the axis")  # fmt: skip
         radii = np.sqrt(np.mean(reach**2, axis=1))
-        object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1) < ROUND)))
+        begin, end = self.insert or (0.0, 0.0)
+        straight = (s <= begin) | (s >= end)
+        object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUND)))
         if abs(radii[0] / self.radius - 1) > 0.1:
             refuse("radius", self.radius, f"is not that of the mesh, {radii[0]:.4g} m at the start",
                    "give its radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
@@ -166,6 +170,8 @@ class PartScene(Parametrised, PartSettings):
             ends += [self.axis.pieces[0].length, self.axis.length - self.axis.pieces[-1].length]
         if self.taper is not None:
             ends += self.taper[:2]
+        if self.insert is not None:
+            ends += self.insert
         if ends:
             return min(ends), max(ends)
         if measured is not None and np.ptp(measured[1]) > 0.03 * self.radius:
