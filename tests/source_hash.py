@@ -29,6 +29,8 @@ def verdict() -> str:
     found = f"{record['device']}, {record['date']}: {record['passed']} passed, {record['skipped']} skipped"
     if record.get("failed"):
         found += f", FAILED {', '.join(record['failed'])}"
+    if record.get("not_run"):
+        found += f", {record['not_run']} not run: {record['why']}"
     if record["hash"] == source_hash():
         return f"GPU: tests/gpu.json is of this code ({found})"
     return f"GPU: tests/gpu.json is NOT of this code but of {record['hash'][:12]} ({found}); run the suite on a GPU"
