@@ -11,28 +11,20 @@ import numpy as np
 from warpcrete.core.knobs import Trading
 from warpcrete.core.parameters import scene_function
 from warpcrete.core.run_loop import Run
-from warpcrete.dem import clumps
-from warpcrete.dem.containers import Fill, PipeContainer
+from warpcrete.dem.containers import PipeContainer
 from warpcrete.dem.parts import Course, PartElements, course_of, part_knobs, plug_layers
-from warpcrete.dem.pumped import bonds_of, contact_of, fractions_of, hydration_of, sizes_of, wall_contact_of
+from warpcrete.dem.pumped import fill_of, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE
 from warpcrete.dem.scene import (
-    AxisDrive,
-    Bodies,
-    Bonds,
     PipeUnit,
     PressureProbe,
     Scene,
-    Settle,
     Stations,
-    TimeStep,
-    Watch,
 )
 from warpcrete.dem.sizes import Sizes
-from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Wall
+from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 
 from .pipe import check as check_of_pipe
-from .pipe import plug_points
 
 
 @scene_function(PartElements)
@@ -50,38 +42,17 @@ def scene(parameters: PartElements) -> Scene:
     axis, bores = course.axis, course.bores
     sizes = sizes_of(given, 2 * bores.smallest)
     pipe = _pipe(given, course)
-    bodies, drives, plug_bonds, plate = _plug(given, course)
+    outlet = float(bores.at(axis.length))
+    plug = plug_of(given, axis, axis.length, outlet, plug_layers(given, 2 * outlet), outlet)
     inlet = float(bores.at(0.0))
     return Scene(
         name="part-dem",
         duration=course.duration,
-        bodies=bodies,
-        fill=Fill(
-            container=_container(course, pipe),
-            sizes=sizes,
-            templates=clumps.templates(given.shapes, given.shape_spheres),
-            fractions=fractions_of(given.fractions),
-            density=given.density,
-            bulk_density=given.bulk_density,
-            solid_fraction=given.solid_fraction,
-            # Below that a packing has no pressure to speak of.
-            pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
-        ),
-        walls=(*plate, _piston(course, inlet), pipe),
-        drives=drives,
-        contact=contact_of(given),
-        contacts=wall_contact_of(given),
-        bonds=bonds_of(given),
-        hydration=hydration_of(given),
-        group_bonds=plug_bonds,
-        gravity=(0.0, 0.0, -given.gravity),
-        settle=Settle(duration=given.settle) if given.settle > 0 else None,
-        time_step=TimeStep(fixed=given.time_step, safety=given.safety, rounds=given.hydration_rounds),
-        watch=Watch(overlap=given.overlap_limit or None),
-        energy_balance=given.energy_balance,
-        precision=given.precision,
-        sample_interval=given.sample_interval,
-        seed=given.seed,
+        bodies=plug.bodies,
+        fill=fill_of(given, _container(course, pipe), sizes),
+        walls=(*plug.plates, _piston(course, inlet), pipe),
+        drives=plug.drives,
+        group_bonds=plug.bonds,
         pressure=PressureProbe(wall="piston", area=math.pi * inlet**2),
         pipe=PipeUnit(
             name="line" if course.line is not None else given.unit,
@@ -95,6 +66,7 @@ def scene(parameters: PartElements) -> Scene:
         stations=_stations(given, course),
         remarks=tuple(_remarks(given, course, sizes)),
         parameters=asdict(given),
+        **settings_of(given),
     )
 
 
@@ -121,31 +93,6 @@ def _piston(course: Course, radius: float) -> PlaneWall:
     axis, speed = course.axis, course.velocity
     motion = Prescribed(velocity=tuple((speed * np.array(axis.tangent)).tolist()), ramp_time=2 * course.ramp / speed)
     return PlaneWall(name="piston", point=axis.start, normal=axis.tangent, motion=motion, drawn_radius=radius)
-
-
-def _plug(
-    given: PartElements, course: Course
-) -> tuple[tuple[Bodies, ...], tuple[AxisDrive, ...], dict[str, Bonds], tuple[Wall, ...]]:
-    """Bodies, drives and bonds of a plug of balls in the outlet, or a plate."""
-    axis, radius = course.axis, float(course.bores.at(course.axis.length))
-    area, density = math.pi * radius**2, given.bulk_density or given.density
-    if given.plug == "balls":
-        points = plug_points(axis, radius, axis.length, given.plug_ball, plug_layers(given, 2 * radius))
-        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
-        drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
-        # As in a pipe unit: stiff enough to keep its shape, soft enough not to govern the time step.
-        bonds = Bonds(
-            effective_modulus=2 * given.modulus, tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
-        )
-        return (bodies,), (drive,), {"plug": bonds}, ()
-    if given.plug == "plate":
-        points, tangents = axis.at(axis.length)
-        back = tuple((-tangents[0]).tolist())
-        mass = density * area * 2 * given.plug_ball
-        motion = Driven(direction=back, force=given.plug_pressure * area, mass=mass)
-        plate = PlaneWall(name="plug", point=tuple(points[0].tolist()), normal=back, motion=motion, drawn_radius=radius)
-        return (), (), {}, (plate,)
-    return (), (), {}, ()
 
 
 def _stations(given: PartElements, course: Course) -> Stations:

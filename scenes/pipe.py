@@ -15,32 +15,25 @@ import numpy as np
 from warpcrete.core.concretes import concrete, shipped
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Trading
-from warpcrete.core.parameters import Above, Within, scene_function
+from warpcrete.core.parameters import scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
-from warpcrete.dem import clumps
 from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.concretes import COVERAGE
-from warpcrete.dem.containers import Fill, PipeContainer
-from warpcrete.dem.pumped import bonds_of, contact_of, fractions_of, hydration_of, sizes_of, wall_contact_of
+from warpcrete.dem.containers import PipeContainer
+from warpcrete.dem.pumped import Plug, fill_of, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
-    AxisDrive,
-    Bodies,
-    Bonds,
     PipeUnit,
     PressureProbe,
     Published,
     Rest,
     Scene,
-    Settle,
-    TimeStep,
-    Watch,
 )
 from warpcrete.dem.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.meshes import Bore, bore_probes, check_pipe, enclosed, load
-from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed, Wall
+from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed, Wall
 
 SOURCE = "Zhan et al. 2019"
 PUBLISHED = {
@@ -54,7 +47,6 @@ OF_THE_PAPER = ("zhan", "zhan-table1")
 """Concretes beside which the paper's figures are shown."""
 FEWEST = 30
 """Aggregates that stand for concrete: fewer are so many stones."""
-MOST_BALLS = 600_000
 LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
 LAST_OF_PAUSE = 0.05
@@ -76,40 +68,21 @@ def scene(parameters: PipeParameters) -> Scene:
     axis = unit_axis(given.unit, given.length + given.distance, given.elbow_radius)
     pipe = _pipe_wall(given, axis)
     bore = _odd_bore(given, axis, pipe, 0.0, given.length)
-    bodies, drives, plug_bonds, plate = _plug(given, axis, pipe)
-    walls: tuple[Wall, ...] = (*plate, _piston(given, axis), pipe)
+    plug = _plug(given, axis, pipe)
     return Scene(
         name="pipe",
         duration=given.duration,
-        bodies=bodies,
-        fill=Fill(
-            container=PipeContainer(axis, bore.smallest, given.length, pipe, bore.area)
+        bodies=plug.bodies,
+        fill=fill_of(
+            given,
+            PipeContainer(axis, bore.smallest, given.length, pipe, bore.area)
             if bore is not None and isinstance(pipe, MeshWall)
             else PipeContainer(axis, given.radius, given.length),
-            sizes=sizes,
-            templates=clumps.templates(given.shapes, given.shape_spheres),
-            fractions=fractions_of(given.fractions),
-            density=given.density,
-            bulk_density=given.bulk_density,
-            solid_fraction=given.solid_fraction,
-            # Below that a packing has no pressure to speak of.
-            pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
+            sizes,
         ),
-        walls=walls,
-        drives=drives,
-        contact=contact_of(given),
-        contacts=wall_contact_of(given),
-        bonds=bonds_of(given),
-        hydration=hydration_of(given),
-        group_bonds=plug_bonds,
-        gravity=(0.0, 0.0, -given.gravity),
-        settle=Settle(duration=given.settle) if given.settle > 0 else None,
-        time_step=TimeStep(fixed=given.time_step, safety=given.safety, rounds=given.hydration_rounds),
-        watch=Watch(overlap=given.overlap_limit or None),
-        energy_balance=given.energy_balance,
-        precision=given.precision,
-        sample_interval=given.sample_interval,
-        seed=given.seed,
+        walls=(*plug.plates, _piston(given, axis), pipe),
+        drives=plug.drives,
+        group_bonds=plug.bonds,
         pressure=PressureProbe(wall="piston", area=given.area),
         pipe=PipeUnit(
             name=given.unit,
@@ -125,6 +98,7 @@ def scene(parameters: PipeParameters) -> Scene:
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
+        **settings_of(given),
         **asked_of(given),
     )
 
@@ -192,31 +166,6 @@ def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:
     return Axis(origin, tangent, (arc, Line(max(length - arc.length, 0.1))))
 
 
-def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
-    """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
-    Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
-    Above().check("plug_ball", ball, " m")
-    across = radius / ball
-    count = layers * math.pi * across * across  # a power would not be infinite, but an error
-    if count > MOST_BALLS:
-        refuse("plug_ball", ball, f"would take {count:.2g} balls to plug the pipe",
-               "use larger balls, a plate or none")  # fmt: skip
-    local = []
-    for layer in range(layers):
-        ring = radius - ball / 2
-        while ring > ball / 4:
-            count = max(1, int(2 * math.pi * ring / ball))
-            for k in range(count):
-                angle = 2 * math.pi * (k + 0.5 * layer) / count
-                local.append((at + (layer + 0.5) * ball, ring * math.cos(angle), ring * math.sin(angle)))
-            ring -= ball
-        if ring > -ball / 4:
-            local.append((at + (layer + 0.5) * ball, 0.0, 0.0))
-    s, a, b = np.array(local).T
-    points, _, normal, side = axis.frame(s)
-    return points + a[:, None] * normal + b[:, None] * side
-
-
 def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
     """It moves along a straight pipe, and turns about the centre of a bend."""
     points, tangents = axis.at(0.0)
@@ -239,33 +188,11 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
     )
 
 
-def _plug(
-    given: PipeParameters, axis: Axis, pipe: Wall
-) -> tuple[tuple[Bodies, ...], tuple[AxisDrive, ...], dict[str, Bonds], tuple[PlaneWall, ...]]:
-    """Bodies, drives and bonds of a plug of balls, or a plate."""
-    if given.plug == "balls":
-        bore = _odd_bore(given, axis, pipe, given.length, given.front)
-        points = plug_points(axis, bore.smallest if bore is not None else given.radius, given.length,
-                             given.plug_ball, given.layers)  # fmt: skip
-        density = given.bulk_density or given.density
-        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
-        drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * given.area)
-        # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.
-        bonds = Bonds(
-            effective_modulus=2 * given.modulus, tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
-        )
-        return (bodies,), (drive,), {"plug": bonds}, ()
-    if given.plug == "plate":
-        points, tangents = axis.at(given.length)
-        back = tuple(-tangents[0])
-        motion = Driven(
-            direction=back,
-            force=given.plug_pressure * given.area,
-            mass=(given.bulk_density or given.density) * given.area * 2 * given.plug_ball,
-        )
-        plate = PlaneWall(name="plug", point=tuple(points[0]), normal=back, motion=motion, drawn_radius=given.radius)
-        return (), (), {}, (plate,)
-    return (), (), {}, ()
+def _plug(given: PipeParameters, axis: Axis, pipe: Wall) -> Plug:
+    """It fills the bore where the concrete ends."""
+    bore = _odd_bore(given, axis, pipe, given.length, given.front) if given.plug == "balls" else None
+    inner = bore.smallest if bore is not None else given.radius
+    return plug_of(given, axis, given.length, given.radius, given.layers, inner)
 
 
 def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:

@@ -403,3 +403,12 @@ def test_a_hose_that_meets_the_line_is_refused():
     points = [[1, 0.2, 0], [1.5, 1, 0], [1, 1.8, 0], [0, 1, 0], [-0.5, -0.5, 0]]
     with pytest.raises(SceneError, match="the line crosses itself"):
         line_of({"diameter": 0.1, "parts": [{"straight": 2}, {"hose": {"points": points}}]})
+
+
+def test_shapes_from_files_are_written_down_whole(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    import trimesh
+
+    trimesh.creation.icosphere(2).export("stone.stl")
+    scene = scenes.part_dem(**SMALL | COURSES["straight"] | {"shapes": "stone.stl"})
+    assert scene.parameters["shapes"] == str(tmp_path / "stone.stl"), "to be found from elsewhere, too"

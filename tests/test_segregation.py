@@ -102,7 +102,9 @@ def test_a_run_tells_it(device):
     assert -0.3 < run["segregation_at_start"] < 0 and 0.9 < run["mixing"] < 1.1
     whole = 0.25 * run["aggregate_inner"] + 0.75 * run["aggregate_outer"]
     assert whole == pytest.approx(0.5 * (run["aggregate_front"] + run["aggregate_rear"]), rel=1e-9)
-    assert whole == pytest.approx(run.packing.solid_fraction, rel=0.15)
+    start = 0.25 * run.series["aggregate_inner"][0] + 0.75 * run.series["aggregate_outer"][0]
+    # Its loose ends are left out, and it has settled: 5.6 to 6.1 % more by three packings.
+    assert start == pytest.approx(1.06 * run.packing.solid_fraction, rel=0.02)
 
 
 def test_segregation_needs_a_pipe():

@@ -342,6 +342,7 @@ both by both, in one table.
                                                   # the way there
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
+    - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # from where it begins: ahead, to the left, up
     - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -12,11 +12,10 @@ import numpy as np
 from ..core.concretes import is_file
 from ..core.errors import refuse
 from ..core.knobs import Knob, Level, precisions, scaled
-from ..core.parameters import Above, FileIf, Needs, OneOf, Within, declared_fields
+from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
 from ..geometry.lines import PipeLine, read_line, without_meshes
-from .concretes import elements_of
 from .pumping import (
     COARSENINGS,
     UPRIGHT,
@@ -25,6 +24,7 @@ from .pumping import (
     BondParameters,
     ConcreteChoice,
     ContactParameters,
+    OfConcrete,
     PlugParameters,
     RunParameters,
     coarser,
@@ -73,22 +73,10 @@ class PushParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PartElements(
-    CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, ContactParameters, BondParameters,
-    PlugParameters, RunParameters,
+    OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, ContactParameters,
+    BondParameters, PlugParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, a part of a line, and what pushes it."""
-
-    @classmethod
-    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        groups = (AggregateParameters, ContactParameters, BondParameters)
-        return "elements", tuple(name for group in groups for name in declared_fields(group))
-
-    @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        return elements_of(values, cls.of_concrete()[1], cls.concrete)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
 
 
 @dataclass(frozen=True)

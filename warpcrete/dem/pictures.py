@@ -79,7 +79,7 @@ def plot_stations(run: ElementRun) -> Any:
     piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color="C3")
     piston.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
     solid.plot(table["place"], table["solid_fraction"], ".-", color="C2")
-    solid.set(xlabel="along the part [m]", ylabel="solid fraction", ylim=(0, 1))
+    solid.set(xlabel="along the part [m]", ylabel="solid fraction, overlaps twice", ylim=(0, None))
     rings = [name for name in table if name.endswith("R")]
     middles = [float(name.removeprefix("velocity_").removesuffix("R")) for name in rings]
     full = np.flatnonzero(np.isfinite(table["velocity"]))

@@ -1,13 +1,23 @@
-"""What pumped concrete is made of, from declared parameters: sizes, contacts, bonds."""
+"""What pumped concrete is made of, from declared parameters: sizes, contacts, bonds, its plug; how it is computed."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
 
 from ..core.errors import refuse
+from ..core.parameters import Above, Within
+from ..geometry.axis import Axis
+from ..geometry.walls import Driven, PlaneWall
+from .clumps import templates
+from .containers import Fill, PipeContainer
 from .laws import Contact, ContactLaw, LubricationLayer
 from .pumping import AggregateParameters, BondParameters, ContactParameters
-from .scene import Bonds, Hydration
+from .scene import AxisDrive, Bodies, Bonds, Hydration, Settle, TimeStep, Watch
 from .sizes import Gaussian, SieveCurve, Sizes, Uniform
 
 
@@ -101,3 +111,97 @@ def fractions_of(text: str | None) -> tuple[float, ...] | None:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         refuse("fractions", text, "must be numbers joined by commas", "for example '2,1,1,1'")
+
+
+MOST_BALLS = 600_000
+"""Of a plug."""
+
+
+@dataclass(frozen=True)
+class Plug:
+    """What closes the front of the concrete: bonded balls, a plate, or nothing."""
+
+    bodies: tuple[Bodies, ...] = ()
+    drives: tuple[AxisDrive, ...] = ()
+    bonds: Mapping[str, Bonds] = field(default_factory=dict)
+    plates: tuple[PlaneWall, ...] = ()
+
+
+def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
+    """The plug at an arc length `at` of a pipe's axis [m]: `layers` of balls in a bore of the radius `inner` [m], or a
+    plate, pushed back over the section of a `radius` [m]. `given` are parameters of plug and aggregate."""
+    area, density = math.pi * radius**2, given.bulk_density or given.density
+    if given.plug == "balls":
+        points = plug_points(axis, inner, at, given.plug_ball, layers)
+        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
+        drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
+        # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.
+        bonds = Bonds(
+            effective_modulus=2 * given.modulus, tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
+        )
+        return Plug((bodies,), (drive,), {"plug": bonds})
+    if given.plug == "plate":
+        points, tangents = axis.at(at)
+        back = tuple((-tangents[0]).tolist())
+        motion = Driven(direction=back, force=given.plug_pressure * area, mass=density * area * 2 * given.plug_ball)
+        place = tuple(points[0].tolist())
+        return Plug(plates=(PlaneWall(name="plug", point=place, normal=back, motion=motion, drawn_radius=radius),))
+    return Plug()
+
+
+def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
+    """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
+    Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
+    Above().check("plug_ball", ball, " m")
+    across = radius / ball
+    count = layers * math.pi * across * across  # a power would not be infinite, but an error
+    if count > MOST_BALLS:
+        refuse("plug_ball", ball, f"would take {count:.2g} balls to plug the pipe",
+               "use larger balls, a plate or none")  # fmt: skip
+    local = []
+    for layer in range(layers):
+        ring = radius - ball / 2
+        while ring > ball / 4:
+            count = max(1, int(2 * math.pi * ring / ball))
+            for k in range(count):
+                angle = 2 * math.pi * (k + 0.5 * layer) / count
+                local.append((at + (layer + 0.5) * ball, ring * math.cos(angle), ring * math.sin(angle)))
+            ring -= ball
+        if ring > -ball / 4:
+            local.append((at + (layer + 0.5) * ball, 0.0, 0.0))
+    s, a, b = np.array(local).T
+    points, _, normal, side = axis.frame(s)
+    return points + a[:, None] * normal + b[:, None] * side
+
+
+def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
+    """The aggregates in a container; `given` are parameters of aggregate, contacts and plug."""
+    return Fill(
+        container=container,
+        sizes=sizes,
+        templates=templates(given.shapes, given.shape_spheres),
+        fractions=fractions_of(given.fractions),
+        density=given.density,
+        bulk_density=given.bulk_density,
+        solid_fraction=given.solid_fraction,
+        # Below that a packing has no pressure to speak of.
+        pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
+    )
+
+
+def settings_of(given: Any) -> dict[str, Any]:
+    """Arguments of a scene that say what carries the concrete, and how it is computed."""
+    return {
+        "contact": contact_of(given),
+        "contacts": wall_contact_of(given),
+        "bonds": bonds_of(given),
+        "hydration": hydration_of(given),
+        "gravity": (0.0, 0.0, -given.gravity),
+        "settle": Settle(duration=given.settle) if given.settle > 0 else None,
+        "time_step": TimeStep(fixed=given.time_step, safety=given.safety, rounds=given.hydration_rounds),
+        "watch": Watch(overlap=given.overlap_limit or None),
+        "energy_balance": given.energy_balance,
+        "precision": given.precision,
+        "sample_interval": given.sample_interval,
+        "seed": given.seed,
+    }

@@ -230,12 +230,8 @@ class RunParameters(Declared):
     seed: Annotated[int, "random seed", Within(0)] = 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class PipeParameters(
-    UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters, ContactParameters,
-    BondParameters, PlugParameters, IndexParameters, RunParameters,
-):  # fmt: skip
-    """Concrete, one pipe unit, and what pumps it."""
+class OfConcrete:
+    """What scenes with the parameters of a concrete of elements make of its name, and of the paths of its shapes."""
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
@@ -244,7 +240,22 @@ class PipeParameters(
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        return elements_of(values, cls.of_concrete()[1], cls.concrete)
+        return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()  # type: ignore[misc]
+        shapes: str = self.shapes  # type: ignore[attr-defined]
+        if of_meshes(shapes):
+            whole = ",".join(str(Path(one.strip()).resolve()) for one in shapes.split(","))
+            object.__setattr__(self, "shapes", whole)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipeParameters(
+    OfConcrete, UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters,
+    ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
+):  # fmt: skip
+    """Concrete, one pipe unit, and what pumps it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -253,10 +264,6 @@ class PipeParameters(
         object.__setattr__(self, "unit", unit)
         if self.wall not in ("analytic", "mesh"):
             object.__setattr__(self, "wall", str(Path(self.wall).resolve()))
-        if of_meshes(self.shapes):
-            object.__setattr__(
-                self, "shapes", ",".join(str(Path(one.strip()).resolve()) for one in self.shapes.split(","))
-            )
         if self.is_bend:
             if self.elbow_radius <= self.radius:
                 refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")
