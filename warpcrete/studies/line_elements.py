@@ -272,20 +272,25 @@ def _parameters(
         own |= {"unit": "horizontal"}
         if part.kind == "reducer":
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
-    given = modules()[SCENE].scene.declared(own)
-    own["modulus"] = elements.stiffer * given.modulus
+    own = sized(own, min(min(each.diameter, each.outlet) for each in line.parts), elements)
     if pressed:
         own["plug_pressure"] = PRESSURE * own["modulus"]
-    narrow = min(min(each.diameter, each.outlet) for each in line.parts)
+    return own
+
+
+def sized(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
+    """Parameters of a part's scene with its sizes and modulus as `elements` has them, for a `narrowest` bore [m]."""
+    given = modules()[SCENE].scene.declared(dict(own))
+    whole = {**own, "modulus": elements.stiffer * given.modulus}
     ranged = given.sizes in ("gaussian", "uniform")
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
-    factor = elements.coarse or max(1.0, WIDEST * narrow / most)
+    factor = elements.coarse or max(1.0, WIDEST * narrowest / most)
     # The plug's balls, which are small, would set the time step.
-    own["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrow / 5))
+    whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
-        return own | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
-    return own | {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
+        return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
+    return whole | {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
 
 
 def _called(key: tuple[Any, ...], part: Part, seed: int) -> str:
