@@ -107,6 +107,16 @@ def test_packing_meets_low_and_high_pressures_or_says_so(device, pressure):
     assert report.solid_fraction > 0.56
 
 
+@pytest.mark.parametrize(("radius", "seed"), [(0.075, 0), (0.0625, 1)])
+def test_clumps_meet_a_pressure_that_is_low_to_their_stiffness(device, radius, seed):
+    """A packing that hardly holds gives way to most of what its sizes grow by, so that takes more looks than usual."""
+    sizes = Gaussian(23.4e-3, 14e-3, 9.4e-3, 37.5e-3)
+    fill = Fill(container=PipeContainer(AXIS, radius, 0.25), pressure=1000.0, sizes=sizes)
+    _, report = pack(fill, contact=Contact(effective_modulus=5e5), device=device, seed=seed)
+    # 885 and 848 Pa before sizes grew faster after a while; 660 in pipes of a metre, which were refused then.
+    assert report.pressure == pytest.approx(1000.0, rel=0.1) and abs(report.size_factor - 1) < 0.01
+
+
 def test_impossible_pressure_is_refused(device):
     fill = Fill(container=PipeContainer(AXIS, 0.05, 0.06), pressure=1e6, templates=clumps.templates("spheres"))
     with pytest.raises(SceneError, match=r"^packing pressure = 1000000.0: cannot be met"):

@@ -1,9 +1,13 @@
 """Kernels are compiled together before they are launched, by threads that share headers, and users are told."""
 
 import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp
+import warp as wp
 from pumping import SMALL
 
 from warpcrete import Simulation, scenes
@@ -37,16 +41,67 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     assert not [name for name, module, block in apart if (module, block) not in together], apart
 
 
-def test_threads_have_the_headers_of_the_one_that_sets_out():
-    """Or each would compile them anew, and that is what takes longest."""
-    here, there = launching._headers_folder(), []
-    assert here is not None
-    home = threading.get_ident()
-    for share in (lambda: None, lambda: launching._share_headers(home)):
-        thread = threading.Thread(target=lambda share=share: (share(), there.append(launching._headers_folder())))
+def test_headers_are_compiled_once_for_each_flags(monkeypatch):
+    """Or each thread would compile them anew, and that is what takes longest."""
+    known, folders, made = wp._src.context.runtime._pch_dirs, [], []
+    before = dict(known)
+    headers = launching._Headers()
+
+    def used(compiled: bool) -> None:
+        with headers.used():
+            folder = Path(known[threading.get_ident()].name)
+            folders.append(folder)
+            made.append(len(list(folder.iterdir())))
+            if compiled:
+                (folder / "headers.pch").touch()
+
+    threads = [threading.Thread(target=used, args=(k > 0,)) for k in range(4)]
+    for thread in threads:
         thread.start()
         thread.join()
-    assert there[0] != here and there[1] == here
+    assert len(set(folders)) == 1
+    assert made == [0, 0, 1, 1]  # the first found its module in the cache and compiled none
+    assert dict(known) == before
+    first, second = launching._Headers(), launching._Headers()
+    assert first._folder.name != second._folder.name
+
+
+def test_who_comes_second_waits_until_headers_are_compiled():
+    headers, order = launching._Headers(), []
+    inside, go_on = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with headers.used():
+            inside.set()
+            go_on.wait(10)
+            (Path(headers._folder.name) / "headers.pch").touch()
+            order.append("first")
+
+    def second() -> None:
+        with headers.used():
+            order.append("second")
+
+    threads = [threading.Thread(target=each) for each in (first, second)]
+    threads[0].start()
+    assert inside.wait(10)
+    threads[1].start()
+    time.sleep(0.05)
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert order == ["first", "second"]
+
+
+def test_long_compilations_and_one_of_each_flags_go_first():
+    def module(parameters: int, flags: str):
+        kernel = SimpleNamespace(adj=SimpleNamespace(args=[None] * parameters))
+        return SimpleNamespace(kernels={"k": kernel}, options={"cpu_compiler_flags": flags})
+
+    modules = [module(n, flags) for n, flags in ((3, ""), (9, "-a"), (20, ""), (12, "-a"), (15, ""))]
+    ordered = [each for each, _ in launching._in_order([(each, 1) for each in modules])]
+    sizes = [len(each.kernels["k"].adj.args) for each in ordered]
+    assert sorted(sizes[:2]) == [12, 20]
+    assert sizes[2:] == [15, 9, 3]
 
 
 def test_who_waits_for_the_compiler_is_told(monkeypatch):

@@ -8,13 +8,14 @@ from __future__ import annotations
 import functools
 import math
 import os
+import tempfile
 import threading
 import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import Any
 
@@ -141,18 +142,14 @@ def load(stages: Iterable[Any], device: Any) -> None:
         kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
         block = block if parallel(device) else 1
         wanted[id(kernel.module), block] = kernel.module, block
-    # This thread begins with modules of plain flags, the others with the rest.
-    left = deque(sorted(wanted.values(), key=lambda each: not _flags(each[0])))
-    home, begun, count, told = threading.get_ident(), time.monotonic(), len(left), False
-    _headers_folder()  # that the others are to have
+    left = deque(_in_order(wanted.values()))
+    begun, count, told = time.monotonic(), len(left), False
 
-    def work(take: Callable[[], tuple[Any, int]]) -> None:
+    def work() -> None:
         nonlocal told
-        if not parallel(device):
-            _share_headers(home)
         while True:
             try:
-                module, block = take()
+                module, block = left.popleft()
             except IndexError:
                 return
             _load(module, device, block)
@@ -160,9 +157,9 @@ def load(stages: Iterable[Any], device: Any) -> None:
                 told = True
                 tell("compiling", 1.0 - len(left) / count)
 
-    others = [_compilers().submit(work, left.popleft) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
+    others = [_compilers().submit(work) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
     try:
-        work(left.pop)
+        work()
     finally:
         left.clear()
         wait(others)
@@ -183,47 +180,61 @@ def _flags(module: Any) -> str:
     return module.options.get("cpu_compiler_flags") or ""
 
 
-_first = threading.Lock()
-_compiled_headers: set[tuple[str, str]] = set()
-"""Folders of compiled headers, and flags with which they have some."""
+def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
+    """Modules and their blocks: one of each flags, so that their headers are compiled at the same time, then the rest;
+    what has most parameters, and so takes longest, goes first.
+    """
+    rest = sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
+    heads = list({_flags(each[0]): each for each in reversed(rest)}.values())
+    return [*heads, *(each for each in rest if not any(each is head for head in heads))]
+
+
+class _Headers:
+    """Warp's headers of C++ as compiled with the same flags, shared by all threads.
+
+    Warp has a folder for each thread, so that no two write one file, and so each compiles them anew, which takes as
+    long as five kernels. Here each flags have a folder, and who comes first compiles alone.
+    """
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="warpcrete_headers_")
+        self._first, self._compiled = threading.Lock(), False
+
+    @contextmanager
+    def used(self) -> Iterator[None]:
+        """Have this thread use them, alone as long as they are not compiled."""
+        known = wp._src.context.runtime._pch_dirs  # pyright: ignore[reportAttributeAccessIssue]
+        thread = threading.get_ident()
+        before = known.get(thread)
+        with ExitStack() as stack:
+            if not self._compiled:
+                stack.enter_context(self._first)
+            known[thread] = self._folder
+            try:
+                yield
+                # What came from the cache has compiled none.
+                self._compiled = self._compiled or bool(os.listdir(self._folder.name))
+            finally:
+                if before is None:
+                    del known[thread]
+                else:
+                    known[thread] = before
+
+
+_headers: dict[str, _Headers] = {}
+_making_headers = threading.Lock()
 
 
 def _load(module: Any, device: Any, block: int) -> None:
-    """Compile a module; on a CPU, as long as its flags have no compiled headers, one such at a time: two threads that
-    share a folder must not write one file.
-    """
-    flags, folder = _flags(module), _headers_folder()
-    if parallel(device) or folder is None or (folder, flags) in _compiled_headers:
+    """Compile a module, or read it from the cache."""
+    runtime = wp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
+    if parallel(device) or not isinstance(getattr(runtime, "_pch_dirs", None), dict):  # where Warp has changed
         wp.load_module(module, device=device, block_dim=block)
         return
-    with _first:
+    with _making_headers:
+        headers = _headers.setdefault(_flags(module), _Headers())
+    with headers.used():
         wp.load_module(module, device=device, block_dim=block)
-        # Each has a file, also of those that this thread compiled before; what came from the cache has none.
-        if len(os.listdir(folder)) > sum(known == folder for known, _ in _compiled_headers):
-            _compiled_headers.add((folder, flags))
-
-
-def _headers_folder() -> str | None:
-    """Folder of this thread's compiled headers of C++; None where Warp keeps none, or keeps them otherwise."""
-    try:
-        return wp._src.context.runtime._get_or_create_pch_dir()  # pyright: ignore[reportAttributeAccessIssue]
-    except AttributeError:
-        return None
-
-
-def _share_headers(home: int) -> None:
-    """Let this thread use the compiled headers of another one.
-
-    Warp has a folder for each thread, so that no two write one file, and so each compiles them anew, which takes as
-    long as five kernels; :func:`_load` sees to it that they are written once. Where Warp has changed they stay apart.
-    """
-    try:
-        runtime = wp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
-        with runtime._pch_dirs_lock:
-            if home in runtime._pch_dirs:
-                runtime._pch_dirs[threading.get_ident()] = runtime._pch_dirs[home]
-    except AttributeError:
-        pass
 
 
 Step = list[list[Any]]
