@@ -1,5 +1,6 @@
 """How runs are shown: legends, cuts, chains, profiles and frames of recordings; looks and words of USD scenes."""
 
+import functools
 import json
 from types import SimpleNamespace
 
@@ -11,7 +12,9 @@ from test_recordings import columns
 from warpcrete import Simulation, scenes
 from warpcrete.core.display import DrawnWall
 from warpcrete.core.frames import LEAST, SLOWEST, Frames
+from warpcrete.core.later import Later
 from warpcrete.core.run_loop import Recorder
+from warpcrete.dem.probes import largest_forces, pair_forces
 from warpcrete.record.blueprint import behind, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning
 from warpcrete.record.rerun import RerunRecorder
@@ -82,6 +85,43 @@ def test_chains_are_as_wide_as_contacts_press(pumped):
     assert force.max() == pytest.approx(found.forces.max(), rel=1e-6)
     ends = np.concatenate([each.ends for each in lines])
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < 2 * found.table.size.max()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_load_of_each_body_is_its_largest_contact_force(device, threads):
+    scene = scenes.pipe(**SMALL | dict(shapes="reference", travel=0.004, settle=0.0))
+    simulation = Simulation(scene, device=device, threads=threads)
+    simulation.run()
+    model, state = simulation.model, simulation.state
+    i, j, force = pair_forces(model, state)
+    body = state.spheres.body.numpy()
+    expected = np.zeros(state.body_count)
+    for sphere in (i, j):
+        np.maximum.at(expected, body[sphere], force)
+    assert np.count_nonzero(expected) > 50
+    assert np.array_equal(largest_forces(model, state), expected)
+    assert np.array_equal(largest_forces(model, state), expected)  # from zero anew
+
+
+def test_displays_of_one_moment_read_it_once(device):
+    """Copies from a GPU hold up the run."""
+    simulation, reads = Simulation(scenes.pipe(**SMALL | dict(travel=0.004, settle=0.0)), device=device), []
+    simulation.prepare()
+    displays = [simulation.display("speed"), simulation.display("force")]
+    later = Later(beside=True)
+
+    def job(display, time, steps):
+        display.once("read", lambda: reads.append(simulation.stepper.steps))
+        display.centres()
+
+    for number in range(3):
+        for display in displays:
+            display.draw(later, functools.partial(job, display))
+        later.wait()
+        simulation.stepper.advance(1e-3 * (number + 1))
+    later.close()
+    # Each reads the first one itself; of every later moment one does for both.
+    assert len(reads) == 4 and reads[:2] == [0, 0] and 0 < reads[2] < reads[3]
 
 
 def test_a_recording_has_chains_profile_zero_and_legend(pumped):

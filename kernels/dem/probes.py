@@ -230,6 +230,36 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
 
 
 @functools.cache
+def load_probe(scalar):
+    """Kernel over spheres of scene `s`: raises what is known of the largest normal force on the bodies of their pairs,
+    by the forces that :func:`contact_probe` found."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def raise_loads(
+        s: wp.int32,
+        # state, read
+        scenes: Scenes,
+        spheres: Spheres,
+        pairs: Pairs,
+        pair_normal_force: wp.array(dtype=scalar),
+        # written
+        loads: wp.array(dtype=scalar),
+    ):
+        base = scenes.row[s].spheres
+        i = base + wp.tid()
+        first_entry = scenes.row[s].pairs
+        for k in range(first_entry + pairs.start[i + s], first_entry + pairs.start[i + s + 1]):
+            force = pair_normal_force[k - first_entry]
+            if force > scalar(0.0):
+                wp.atomic_max(loads, spheres.body[i], force)
+                wp.atomic_max(loads, spheres.body[base + decode(pairs.other[k])], force)
+
+    return raise_loads
+
+
+@functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
     """Kernel over spheres of scene `s`: a row of values each, by permanent numbers, and each pair's normal force."""
     t = types(scalar)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -137,6 +138,10 @@ class Moment:
     """By the name that the display reads it by."""
 
 
+_latest: WeakKeyDictionary[Any, tuple[tuple[float, int], dict[str, Any]]] = WeakKeyDictionary()
+"""Time and steps of the moment that was last taken of a simulation, and what was read, by the displays' names."""
+
+
 class Display(ABC):
     """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`; None: what shows most."""
 
@@ -187,7 +192,7 @@ class Display(ABC):
             job(time, steps)
             self._complete = True
             return
-        moment = Moment(time, {name: source() for name, source in self._sources.items()})
+        moment = Moment(time, self._taken_now((time, steps)))
 
         def drawn() -> None:
             self._taken = moment
@@ -197,6 +202,17 @@ class Display(ABC):
                 self._taken = None
 
         later.do(drawn)
+
+    def _taken_now(self, now: tuple[float, int]) -> dict[str, Any]:
+        """What is to be read, once for all displays of a simulation."""
+        latest = _latest.get(self.simulation)
+        if latest is None or latest[0] != now:
+            latest = _latest[self.simulation] = (now, {})
+        found = latest[1]
+        for name, source in self._sources.items():
+            if name not in found:
+                found[name] = source()
+        return found.copy()  # others may add to it while this one draws
 
     @property
     def preferred(self) -> str:

@@ -23,7 +23,7 @@ from ..core.display import (
     on_palette,
 )
 from ..geometry.walls import Prescribed
-from .probes import chunks_of, largest_of, listed_forces, pairs_of
+from .probes import chunks_of, largest_forces, listed_forces, pairs_of
 from .stations import COLUMNS
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
@@ -117,8 +117,8 @@ class ElementDisplay(Display):
 
     def _largest_forces(self) -> np.ndarray:
         """On each body [N], in the order of the state's arrays."""
-        i, j, _, force = self._pair_forces()
-        return largest_of(i, j, force, self.read("spheres.body"), len(self.read("bodies.id")))
+        model, state = self.simulation.model, self.simulation.state
+        return self.once("largest forces", lambda: largest_forces(model, state))
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""

@@ -203,20 +203,17 @@ def listed_forces(model: Model, state: State) -> np.ndarray:
 
 
 def largest_forces(model: Model, state: State) -> np.ndarray:
-    """Largest normal contact force on each body [N], in the order of the state's arrays."""
-    if state.sphere_count == 0:
-        return np.zeros(state.body_count)
-    i, j, place = listed_pairs(state)
-    return largest_of(i, j, listed_forces(model, state)[place], state.spheres.body.numpy(), state.body_count)
+    """Largest normal contact force on each body [N], in the order of the state's arrays, shape (n,)."""
+    loads = state.scratch("loads", (state.body_count,), model.scalar)
+    loads.zero_()
+    if state.sphere_count:
+        _run(state, "loads", lambda: [*_probing(model, state), _load_stage(model, state, loads)])
+    return loads.numpy().copy()
 
 
-def largest_of(i: np.ndarray, j: np.ndarray, force: np.ndarray, body: np.ndarray, bodies: int) -> np.ndarray:
-    """Largest of the forces of pairs of spheres [N] on each body, of the spheres' bodies; zero where none presses."""
-    result = np.zeros(bodies, force.dtype)  # of another type, NumPy takes sixty times as long
-    pressing = force > 0
-    for sphere in (i, j):
-        np.maximum.at(result, body[sphere[pressing]], force[pressing])
-    return result.astype(float)
+def _load_stage(model: Model, state: State, loads: wp.array) -> Stage:
+    forces = _contact_rows(state)[1]
+    return _stage(state, column.load_probe(model.scalar), state.sphere_count, pair_normal_force=forces, loads=loads)
 
 
 def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
