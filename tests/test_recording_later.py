@@ -3,12 +3,17 @@
 import math
 import threading
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import warp as wp
 from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
+from warpcrete.core import moments
 from warpcrete.core.later import MOST, Later
+from warpcrete.core.moments import Arriving, Pool, moment_of
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
@@ -107,6 +112,42 @@ class Unanswering:
     def disconnect(self):
         if not math.isfinite(self.left):
             self.closed.wait(20)
+
+
+def test_a_moment_stays_as_it_was_and_its_memory_is_used_again(device):
+    class Run:
+        stepper = SimpleNamespace(time=0.0, steps=0)
+
+    run, array = Run(), wp.zeros((1000, 3), dtype=wp.float32, device=device)
+    taken = []
+    for steps in range(3):
+        run.stepper.steps = steps
+        array.fill_(float(steps))
+        taken.append(moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}))
+    array.fill_(-1.0)
+    for steps, moment in enumerate(taken):
+        assert moment.read("steps") == steps
+        assert np.all(moment.read("a") == steps) and moment.read("a").shape == (1000, 3)
+    last = moment_of(run, {"a": lambda: array})
+    assert np.all(last.read("a") == 2)  # of the same moment: not read again
+    if array.device.is_cuda:
+        used = taken[0].found["a"]._copies["a"].ptr
+        del moment, taken
+        run.stepper.steps = 3
+        again = moment_of(run, {"a": lambda: array}).found["a"]
+        assert again._copies["a"].ptr == used and np.all(again["a"] == -1)
+
+
+def test_copies_that_never_come_are_told(device, monkeypatch):
+    array = wp.zeros(3, dtype=wp.float32, device=device)
+    if not array.device.is_cuda:
+        pytest.skip("on a CPU copies are there at once")
+    monkeypatch.setattr(moments, "LONGEST", 0.0)
+    copies = Arriving({"a": array}, Pool())
+    wp.synchronize()
+    copies._flag.numpy()[0] = 0
+    with pytest.raises(RuntimeError, match="have not come"):
+        copies["a"]
 
 
 def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypatch):

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from .errors import one_of
 from .later import Later
+from .moments import Moment, moment_of, on_host
 
 Colour = tuple[int, int, int, int]
 """Red, green, blue and opacity, 0 to 255."""
@@ -128,20 +128,6 @@ class Lines:
     """RGB bytes, shape (n, 3)."""
 
 
-@dataclass(frozen=True)
-class Moment:
-    """What a display draws, taken from a run that goes on."""
-
-    time: float
-    """[s]"""
-    found: dict[str, Any]
-    """By the name that the display reads it by."""
-
-
-_latest: WeakKeyDictionary[Any, tuple[tuple[float, int], dict[str, Any]]] = WeakKeyDictionary()
-"""Time and steps of the moment that was last taken of a simulation, and what was read, by the displays' names."""
-
-
 class Display(ABC):
     """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`; None: what shows most."""
 
@@ -161,20 +147,18 @@ class Display(ABC):
 
     def read(self, path: str) -> np.ndarray:
         """An array of the state by its path, such as "bodies.velocity", at the moment that is drawn."""
-
-        def now() -> np.ndarray:
-            array = attrgetter(path)(self.simulation.state)
-            # On a CPU `numpy` gives the array itself, which the run goes on with.
-            return array.numpy().copy() if array.device.is_cpu else array.numpy()
-
-        return self.once(path, now)
+        return self.once(path, lambda: attrgetter(path)(self.simulation.state))
 
     def once(self, name: str, source: Callable[[], Any]) -> Any:
-        """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now."""
+        """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now.
+
+        Displays of one simulation that read something by the same name get the same, not to be written to. An array of
+        a device comes as one of NumPy.
+        """
         if self._taken is not None:
-            return self._taken.found[name]
+            return self._taken.read(name)
         self._sources[name] = source
-        return source()
+        return on_host(source())
 
     @property
     def time(self) -> float:
@@ -192,7 +176,7 @@ class Display(ABC):
             job(time, steps)
             self._complete = True
             return
-        moment = Moment(time, self._taken_now((time, steps)))
+        moment = moment_of(self.simulation, self._sources)
 
         def drawn() -> None:
             self._taken = moment
@@ -202,17 +186,6 @@ class Display(ABC):
                 self._taken = None
 
         later.do(drawn)
-
-    def _taken_now(self, now: tuple[float, int]) -> dict[str, Any]:
-        """What is to be read, once for all displays of a simulation."""
-        latest = _latest.get(self.simulation)
-        if latest is None or latest[0] != now:
-            latest = _latest[self.simulation] = (now, {})
-        found = latest[1]
-        for name, source in self._sources.items():
-            if name not in found:
-                found[name] = source()
-        return found.copy()  # others may add to it while this one draws
 
     @property
     def preferred(self) -> str:

@@ -202,13 +202,14 @@ def listed_forces(model: Model, state: State) -> np.ndarray:
     return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
 
 
-def largest_forces(model: Model, state: State) -> np.ndarray:
-    """Largest normal contact force on each body [N], in the order of the state's arrays, shape (n,)."""
+def largest_forces(model: Model, state: State) -> wp.array:
+    """Largest normal contact force on each body [N], in the order of the state's arrays, shape (n,): good until the
+    next call."""
     loads = state.scratch("loads", (state.body_count,), model.scalar)
     loads.zero_()
     if state.sphere_count:
         _run(state, "loads", lambda: [*_probing(model, state), _load_stage(model, state, loads)])
-    return loads.numpy().copy()
+    return loads
 
 
 def _load_stage(model: Model, state: State, loads: wp.array) -> Stage:
