@@ -38,6 +38,7 @@ def main() -> None:
     given.add_argument("--seeds", type=int, default=3)
     given.add_argument("--flow", type=float, default=9 / 3600, help="[m3/s]")
     given.add_argument("--travel", type=float, default=0.5, help="of the piston in the whole line [m]")
+    given.add_argument("--no-parts", action="store_true")
     given.add_argument("--device")
     options = given.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -49,8 +50,11 @@ def main() -> None:
           "|---|---|---|---|---|", flush=True)  # fmt: skip
     for name in options.concretes:
         out, bar = options.out / Path(name).stem, ProgressBar()
-        parts = run_elements(line, name, options.flow, elements=elements, out=out, device=options.device,
-                             progress=lambda phase, done, bar=bar: bar(phase, done, {}))  # fmt: skip
+        pressures, elapsed = [], 0.0
+        if not options.no_parts:
+            parts = run_elements(line, name, options.flow, elements=elements, out=out, device=options.device,
+                                 progress=lambda phase, done, bar=bar: bar(phase, done, {}))  # fmt: skip
+            pressures, elapsed = parts.pressures, parts.elapsed
         whole = []
         for seed in range(options.seeds):
             own = {"concrete": name, "line": str(file), "flow": options.flow, "gravity": 0.0, "seed": seed,
@@ -70,12 +74,14 @@ def main() -> None:
         pressed = [number(run.result["end_pressure"]) for run in runs]
         left = [number(run.result["flux_ratio"]) for run in runs]
         took = max(number(run.result["speed"]["wall_time"]) for run in runs)
-        print(f"| {name} | {_spread(parts.pressures)} | {_spread(pressed)} | {np.mean(left):.2f} | "
-              f"{parts.elapsed:.0f}, {took:.0f} |", flush=True)  # fmt: skip
+        print(f"| {name} | {_spread(pressures)} | {_spread(pressed)} | {np.mean(left):.2f} | "
+              f"{elapsed:.0f}, {took:.0f} |", flush=True)  # fmt: skip
 
 
 def _spread(pressures: list[float]) -> str:
     """Mean and standard deviation in kPa."""
+    if not pressures:
+        return "-"
     spread = f" ± {np.std(pressures, ddof=1) / 1e3:.2g}" if len(pressures) > 1 else ""
     return f"{np.mean(pressures) / 1e3:.4g}{spread}"
 

@@ -39,14 +39,16 @@ def main() -> None:
     given.add_argument("--concretes", nargs="+", default=["no1", "no2", "no3"])
     given.add_argument("--shapes", default="reference")
     given.add_argument("--coarse", type=float)
+    given.add_argument("--stiffer", type=float, default=25.0, help="times the concrete's modulus")
     given.add_argument("--seeds", type=int, default=3)
     given.add_argument("--flow", type=float, default=FLOW, help="[m3/s]")
     given.add_argument("--no-flows", action="store_true")
     given.add_argument("--device")
     options = given.parse_args()
     line = every_part()
-    elements = Elements(shapes=options.shapes, coarse=options.coarse, seeds=options.seeds)
-    print("| part | concrete | flow | elements | seeds | what leaves over what enters |\n|---|---|---|---|---|---|")
+    elements = Elements(shapes=options.shapes, coarse=options.coarse, seeds=options.seeds, stiffer=options.stiffer)
+    print("| part | concrete | flow | elements | seeds | what leaves over what enters |\n|---|---|---|---|---|---|",
+          flush=True)  # fmt: skip
     for name in options.concretes:
         out = options.out / Path(name).stem
         bar = ProgressBar()
@@ -66,7 +68,7 @@ def main() -> None:
             spread = f" ± {np.std(ratios, ddof=1) / len(ratios) ** 0.5:.2f}" if len(ratios) > 1 else ""
             flow = f"{flows[part.alike]:.3f}" if part.alike in flows else ""
             print(f"| {part.label} | {name} | {flow} | {np.mean(ratios):.2f}{spread} | {len(ratios)} | "
-                  f"{np.mean(flux):.2f} |")  # fmt: skip
+                  f"{np.mean(flux):.2f} |", flush=True)  # fmt: skip
         for run in runs:
             if bad := failed_checks(run.result):
                 print(f"\n{run.folder}: FAILED {', '.join(bad)}\n")

@@ -11,7 +11,7 @@ from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 from warpcrete import SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.dem import clumps
 from warpcrete.dem.containers import Fill, PipeContainer
-from warpcrete.dem.packing import pack
+from warpcrete.dem.packing import NEAR, pack
 from warpcrete.dem.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
 from warpcrete.dem.sizes import Gaussian
 from warpcrete.geometry.axis import Axis, Line
@@ -107,14 +107,13 @@ def test_packing_meets_low_and_high_pressures_or_says_so(device, pressure):
     assert report.solid_fraction > 0.56
 
 
-@pytest.mark.parametrize(("radius", "seed"), [(0.075, 0), (0.0625, 1)])
-def test_clumps_meet_a_pressure_that_is_low_to_their_stiffness(device, radius, seed):
+def test_clumps_meet_a_pressure_that_is_low_to_their_stiffness(device):
     """A packing that hardly holds gives way to most of what its sizes grow by, so that takes more looks than usual."""
     sizes = Gaussian(23.4e-3, 14e-3, 9.4e-3, 37.5e-3)
-    fill = Fill(container=PipeContainer(AXIS, radius, 0.25), pressure=1000.0, sizes=sizes)
-    _, report = pack(fill, contact=Contact(effective_modulus=5e5), device=device, seed=seed)
-    # 885 and 848 Pa before sizes grew faster after a while; 660 in pipes of a metre, which were refused then.
-    assert report.pressure == pytest.approx(1000.0, rel=0.1) and abs(report.size_factor - 1) < 0.01
+    fill = Fill(container=PipeContainer(AXIS, 0.0625, 0.9), pressure=1000.0, sizes=sizes)
+    _, report = pack(fill, contact=Contact(effective_modulus=5e5), device=device)
+    # 687 Pa, which was refused, before sizes grew faster after a while.
+    assert report.pressure == pytest.approx(1000.0, rel=NEAR) and abs(report.size_factor - 1) < 0.03
 
 
 def test_impossible_pressure_is_refused(device):

@@ -170,13 +170,19 @@ class TheoryCommand(click.Command):
               "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
 @click.option("--rest", type=float, help="that the concrete has stood [s]: what a restart then takes")
 @click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
+@click.option("--segregation", multiple=True, type=float, help="aggregate in the outer half of the radius less that in "
+              "the inner half, over its mean share: what it does to a pipe's pressure; may be repeated")  # fmt: skip
+@click.option("--aggregate", type=float, help="its share of the volume, for --segregation  [default: a mix's own]")
 @click.pass_context
 def theory(
     context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None,
-    rest: float | None, thixotropy: float | None, **values: Any,
+    rest: float | None, thixotropy: float | None, segregation: tuple[float, ...], aggregate: float | None,
+    **values: Any,
 ) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    _part("theory").run(_part("options").given(values, context), flow, pressure, fit, rest, thixotropy)
+    _part("theory").run(
+        _part("options").given(values, context), flow, pressure, fit, rest, thixotropy, segregation, aggregate
+    )
 
 
 @cli.command("view")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ import click
 
 from ..core.errors import refuse
 from ..core.parameters import Field, declared_fields, resolved
+from ..mix.mix import mix_named
 from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
 from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady, table
+from ..theory.segregated import segregation_table
 
 THIXOTROPY = 0.5
 """A_thix of a concrete between those that stiffen and those that stiffen strongly (Roussel 2006) [Pa/s]."""
@@ -29,10 +32,12 @@ def fields() -> dict[str, Field]:
 
 def run(
     given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...], fit: Path | None = None,
-    rest: float | None = None, thixotropy: float | None = None,
+    rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
+    aggregate: float | None = None,
 ) -> None:  # fmt: skip
     """Print the table for the parameters `given`, others at their defaults; with `fit`, a file of points that were
-    measured, for the slip layer that they ask for; with `rest` [s] the restart after it, too."""
+    measured, for the slip layer that they ask for; with `rest` [s] the restart after it, too; with `segregation` what
+    `aggregate` of the volume does to the pressure when it is apart."""
     growth = growth_of(rest, thixotropy)
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
@@ -52,7 +57,23 @@ def run(
     tables = [table(concrete, line, flows or (() if pressures else (FLOW,)), pressures)]
     if rest is not None:
         tables += [restart_table(concrete, line, rest, growth, each) for each in flows or (FLOW,)]
+    if segregation:
+        share = _share(aggregate, values["concrete"])
+        tables.append(segregation_table(concrete, line, share, segregation, flows or (FLOW,)))
+    elif aggregate is not None:
+        refuse("aggregate", aggregate, "means nothing without segregation", "--segregation -0.2")
     click.echo("\n\n".join(tables))
+
+
+def _share(given: float | None, name: str) -> float:
+    """Of aggregate in the volume, as given or as a mix has it."""
+    if given is not None:
+        return given
+    mix = mix_named(name)
+    if mix is None or mix.given.share is None:
+        refuse("aggregate", None, "must be told for --segregation, as this concrete's share is not known",
+               "--aggregate 0.36")  # fmt: skip
+    return mix.given.share
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:

@@ -1,0 +1,116 @@
+"""Steady flow through a pipe whose aggregate has left the wall, or gathered there: a Bingham fluid of two zones.
+
+Each zone, the inner and the outer half of the radius, is the concrete as it would be with the zone's own share of
+aggregate (:func:`~warpcrete.theory.suspension.thickening`); the slip layer is what it was. Between zones shear stress
+and velocity are continuous, so what they shear adds up in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.errors import between, refuse
+from .pipe import Concrete, Line, Steady
+from .suspension import SUSPENSIONS, thickening
+
+STEPS = 200
+"""Bisections: until there is no number between."""
+
+
+@dataclass(frozen=True)
+class Segregated:
+    """Concrete in a pipe, its aggregate not as much at the wall as about the axis."""
+
+    concrete: Concrete
+    """Where the aggregate is even."""
+    line: Line
+    fraction: float
+    """Of the volume, that is aggregate."""
+    index: float
+    """Share of aggregate in the outer half of the radius less that in the inner half, over the mean: what runs tell as
+    `segregation`."""
+
+    def __post_init__(self) -> None:
+        densest = SUSPENSIONS["spheres"][1]
+        between("aggregate", self.fraction, 0, np.nextafter(densest, 0), "", "less than the densest packing")
+        if self.fraction == 0:
+            refuse("aggregate", self.fraction, "must be above 0: without aggregate nothing segregates")
+        least = max(-4.0, -4 / 3 * (densest / self.fraction - 1))
+        most = min(4 / 3, 4 * (densest / self.fraction - 1))
+        if not least < self.index < most:
+            refuse("segregation", self.index, f"must be between {least:.3g} and {most:.3g} with {self.fraction:g} of "
+                   "aggregate: no zone has less than none, or more than the densest packing",
+                   "runs have -0.1 to 0.1 or so")  # fmt: skip
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Of aggregate in the inner and the outer half of the radius; a quarter of the section is in the inner."""
+        return self.fraction * (1 - 0.75 * self.index), self.fraction * (1 + 0.25 * self.index)
+
+    @property
+    def zones(self) -> tuple[Concrete, Concrete]:
+        """The concrete of the inner and of the outer half."""
+        even = thickening(self.fraction, *SUSPENSIONS["spheres"])
+        found = []
+        for share in self.shares:
+            thick = thickening(share, *SUSPENSIONS["spheres"])
+            found.append(replace(self.concrete, viscosity=self.concrete.viscosity * thick[0] / even[0],
+                                 yield_stress=self.concrete.yield_stress * thick[1] / even[1]))  # fmt: skip
+        return found[0], found[1]
+
+    def of_stress(self, stress: float) -> Steady:
+        """The state in which the wall bears `stress` [Pa]."""
+        between("stress", stress, 0, np.inf, "[Pa]")
+        concrete, line = self.concrete, self.line
+        slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
+        edge, flow, plug = line.radius - line.slip_thickness, np.pi * line.radius**2 * slip, line.radius
+        for zone, low, high in zip(self.zones, (0.0, 0.5 * line.radius), (0.5 * line.radius, edge), strict=True):
+            begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
+            if begin < high:
+                # The integral of pi r^2 times the shear rate, (stress r / R - yield stress) / viscosity.
+                rise = stress / line.radius * (high**4 - begin**4) / 4 - zone.yield_stress * (high**3 - begin**3) / 3
+                flow += np.pi / zone.viscosity * rise
+                plug = min(plug, begin)
+        weight = concrete.density * line.gravity * line.rise * line.length
+        pressure = weight + 2 * stress * line.length / line.radius
+        return Steady("pipe", float(flow), pressure, stress, slip, min(plug, edge))
+
+    def steady(self, flow: float) -> Steady:
+        """The state at a flow [m3/s]; its pressure is what a pump must give."""
+        between("flow", flow, 0, np.inf, "[m3/s]")
+        low, high = 0.0, 1.0
+        while self.of_stress(high).flow <= flow:
+            low, high = high, 2 * high
+            if high > 1e30:
+                refuse("flow", flow, "needs a wall stress beyond all numbers")
+        for _ in range(STEPS):
+            middle = 0.5 * (low + high)
+            if not low < middle < high:
+                break
+            low, high = (middle, high) if self.of_stress(middle).flow <= flow else (low, middle)
+        return self.of_stress(low)
+
+
+def segregation_table(
+    concrete: Concrete, line: Line, fraction: float, indices: Sequence[float], flows: Sequence[float]
+) -> str:
+    """What a pump must give at `flows` [m3/s] where a `fraction` of aggregate is apart by `indices`; text."""
+    lines = [
+        f"{fraction:g} of aggregate; segregation is the outer half of the radius less the inner, over the mean",
+        f"{'segregation':>12s}{'inner':>8s}{'outer':>8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}"
+        f"{'wall stress [Pa]':>18s}{'friction over even':>20s}",
+    ]
+    for flow in flows:
+        even = Segregated(concrete, line, fraction, 0.0).steady(flow).wall_stress
+        for index in indices:
+            apart = Segregated(concrete, line, fraction, index)
+            state = apart.steady(flow)
+            over = f"{state.wall_stress / even:.4g}" if even > 0 else "-"
+            lines.append(
+                f"{index:12.4g}{apart.shares[0]:8.3g}{apart.shares[1]:8.3g}{flow:14.5g}{state.pressure:15.6g}"
+                f"{state.wall_stress:18.5g}{over:>20s}"
+            )
+    return "\n".join(lines)
