@@ -9,6 +9,7 @@ import pytest
 from pumping import command
 from test_batch import SMALL
 
+import warpcrete
 from warpcrete import scenes
 from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.studies.study import cases_of, resume_study, run_study
@@ -31,6 +32,18 @@ def test_cases_are_all_combinations_or_one_parameter_at_a_time():
         cases_of({}, {"velocity": [0.1, 0.1]})
     with pytest.raises(SceneError, match="repeat"):
         cases_of({}, {"velocity": [0.1]}, repeat=0)
+
+
+def test_a_study_from_python(tmp_path):
+    flow = dict(spacing=0.02, duration=0.012, sample_interval=4e-3, device="cpu", processes=1)
+    study = warpcrete.study(scenes.channel, vary={"flow": [1e-3, 2e-3]}, out=tmp_path / "study", **flow)
+    assert study.finished and list(study.table()["flow"]) == [1e-3, 2e-3]
+    assert warpcrete.load(tmp_path / "study").scene == "channel"
+    with pytest.raises(SceneError, match="must be a scene function"):
+        warpcrete.study("channel", vary={"flow": [1e-3]}, out=tmp_path / "other")
+    with pytest.raises(SceneError, match="flaw"):
+        warpcrete.study(scenes.channel, vary={"flaw": [1e-3]}, out=tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.thorough

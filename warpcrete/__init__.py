@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from . import scenes
     from .dem.scene import Scene
     from .methods import Simulation
+    from .studies.asked import study
     from .studies.calibrate import calibrate
     from .studies.explain import explain
     from .studies.loading import load
@@ -42,12 +43,14 @@ __all__ = [
     "explain",
     "load",
     "scenes",
+    "study",
     "trade",
 ]
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
 _LAZY |= {
     "load": "studies.loading",
+    "study": "studies.asked",
     "trade": "studies.trade",
     "explain": "studies.explain",
     "calibrate": "studies.calibrate",

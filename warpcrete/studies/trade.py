@@ -20,6 +20,7 @@ from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
+from .asked import module_of
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
 from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
@@ -40,11 +41,8 @@ def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     are those of :func:`run_trade`; all else in `given` are parameters of the scene. `out` is the new folder (default:
     runs/trade-NNN). Raises what that raises.
     """
-    module = getattr(scene, "module", None)
-    if module is None or getattr(module, "scene", None) is not scene:
-        refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
-    settings = {name: given.pop(name) for name in SETTINGS if name in given}
-    name = module.__name__.rpartition(".")[2].replace("_", "-")
+    name, module = module_of(scene)
+    settings = {key: given.pop(key) for key in SETTINGS if key in given}
     return run_trade(name, module, base=given, out=Path(out) if out else next_folder("trade"), **settings)
 
 

@@ -1,0 +1,35 @@
+"""A study as Python asks for it, by a scene function."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import refuse
+from ..core.files import next_folder
+from .study import Study, run_study
+
+SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",
+            "workers", "progress", "rerun", "usd")  # fmt: skip
+
+
+def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, **given: Any) -> Study:
+    """Vary parameters of a scene function, such as ``warpcrete.scenes.pipe``: all combinations of the values in `vary`.
+
+    Settings (`repeat`, `one_at_a_time`, `device`, `processes`, `frames`, `scheduler`, `workers`, `progress` ...) are
+    those of :func:`warpcrete.studies.study.run_study`, and `rerun` and `usd` what each case records besides its table;
+    all else in `given` are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises what that
+    raises.
+    """
+    name, module = module_of(scene)
+    settings = {key: given.pop(key) for key in SETTINGS if key in given}
+    return run_study(name, module, vary, base=given, out=Path(out) if out else next_folder("study"), **settings)
+
+
+def module_of(scene: Any) -> tuple[str, Any]:
+    """Name, as the command has it, and module of a scene function. Raises :class:`SceneError` for anything else."""
+    module = getattr(scene, "module", None)
+    if module is None or getattr(module, "scene", None) is not scene:
+        refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
+    return module.__name__.rpartition(".")[2].replace("_", "-"), module
