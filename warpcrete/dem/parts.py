@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -16,6 +16,7 @@ from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
 from ..geometry.lines import PipeLine, read_line, without_meshes
+from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line
 from .pumping import (
     COARSENINGS,
     UPRIGHT,
@@ -78,6 +79,12 @@ class PartElements(
 ):  # fmt: skip
     """Concrete, a part of a line, and what pushes it."""
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What a line's file says of flow and concrete, and what the concrete stands for."""
+        said = said_by_line(values)
+        return {**said, **super().implied({**said, **values})}
+
 
 @dataclass(frozen=True)
 class Course:
@@ -114,12 +121,9 @@ def course_of(given: PartElements) -> Course:
         line = without_meshes(read_line(given.line), "line")
         axis, bores = line.axis, line.bores
         odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
-        ends = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
-        middle = (float(ends[odd[0]]), float(ends[odd[-1] + 1])) if odd else None
-        for place in (0, -1):
-            if line.parts[place].kind != "straight":
-                refuse("line", given.line, f"must begin and end straight: part {line.parts[place].number} is a "
-                       f"{line.parts[place].kind}", "put a straight part there")  # fmt: skip
+        places = ends(line)
+        middle = (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None
+        check_straight_ends(line, given.line)
     else:
         axis, bores, middle = _part(given)
     diameter = 2 * bores.radii[0]
@@ -132,7 +136,7 @@ def course_of(given: PartElements) -> Course:
     assert isinstance(first, Line)
     start = np.array(axis.start) - travel * np.array(axis.tangent)
     whole = Axis(tuple(start.tolist()), axis.tangent, (Line(first.length + travel), *axis.pieces[1:]))
-    _check_ends(whole, bores, travel)
+    check_return(whole, bores, travel)
     moved = Bores(tuple(travel + place for place in bores.places), bores.radii)
     shifted = None if middle is None else (middle[0] + travel, middle[1] + travel)
     return Course(whole, moved, travel, ramp, velocity, shifted, line)
@@ -161,20 +165,6 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
         return axis, Bores((0.0,), (radius,)), middle
     bores = Bores((begin, begin + given.taper), (radius, given.outlet_diameter / 2))
     return axis, bores, (middle[0] if middle else begin, begin + given.taper)
-
-
-def _check_ends(axis: Axis, bores: Bores, travel: float) -> None:
-    """Refuse a pipe that comes back to the endless planes which the piston and the front are."""
-    s = np.linspace(0, axis.length, 400)
-    points, tangents = axis.at(s)
-    piston, _ = axis.at(travel)
-    reach = bores.largest
-    ahead = (points - piston) @ tangents[0]
-    if np.any(ahead[s > travel + 2 * reach] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane of the piston", "cut it, or turn it less")
-    behind = (points[-1] - points) @ tangents[-1]
-    if np.any(behind[s < axis.length - 2 * reach] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it ends", "cut it, or turn it less")
 
 
 def plug_layers(given: PartElements, diameter: float) -> int:
