@@ -15,7 +15,7 @@ from warpcrete.core.parameters import Above, FileIf, Needs, OneOf, Within, scene
 from warpcrete.core.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
-from warpcrete.geometry.lines import check_crossing, read_line, without_meshes
+from warpcrete.geometry.lines import check_crossing, read_line
 from warpcrete.geometry.mesh_parts import between_pipes
 from warpcrete.geometry.meshes import load
 from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line
@@ -146,9 +146,12 @@ def _mesh(given: PartParameters, axis: Axis, bends: bool) -> tuple[MeshWall, tup
 def _line(given: PartParameters) -> _Course:
     """A line as a whole."""
     assert given.line is not None
-    line = without_meshes(read_line(given.line), "line")
+    line = read_line(given.line)
     check_straight_ends(line, given.line)
     for part in line.parts:
+        if part.mesh:
+            refuse("line", line.name, f"has a bore from a mesh, part {part.number}, which is simulated alone as a flow",
+                   "take 'warpcrete line', --method dem, or a reducer in its place")  # fmt: skip
         if part.layer != 1:
             refuse(f"part {part.number}, hose: layer", part.layer, "is not that of the pipe, and a flow has one layer",
                    "leave it out, or take 'warpcrete line'")  # fmt: skip

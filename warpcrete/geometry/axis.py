@@ -161,10 +161,10 @@ class Axis:
         side = side / np.linalg.norm(side)
         sides = np.broadcast_to(side, points.shape).copy()
         if len({tuple(np.round(np.abs(np.cross(self.tangent, b)), 9)) for b in bends}) > 1:
-            sides = self._carried(s, side)
+            sides = self.carried(s, side)
         return points, tangents, np.cross(sides, tangents), sides
 
-    def _carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
+    def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
         """A unit normal of the axis' start, carried along without twist to arc lengths `s` [m], shape (n, 3)."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0

@@ -134,10 +134,24 @@ class PipeLine:
 
     @property
     def bores(self) -> Bores:
-        """How wide it is along its axis."""
-        ends = np.concatenate([[0.0], np.cumsum([part.length for part in self.parts])])
-        radii = [self.parts[0].diameter / 2, *(part.outlet / 2 for part in self.parts)]
-        return Bores(tuple(ends.tolist()), tuple(radii))
+        """How wide it is along its axis, bores from meshes by their area."""
+        return self._profile("radii")
+
+    @property
+    def clear(self) -> Bores:
+        """Of circles about its axis that are free."""
+        return self._profile("least")
+
+    def _profile(self, of: str) -> Bores:
+        begin, places, radii = 0.0, [0.0], [self.parts[0].diameter / 2]
+        for part in self.parts:
+            if part.mesh:
+                places += [begin + place for place in part.mesh.places]
+                radii += getattr(part.mesh, of)
+            begin += part.length
+            places.append(begin)
+            radii.append(part.outlet / 2)
+        return Bores(tuple(places), tuple(radii))
 
     def remarks(self) -> list[str]:
         """What a reader should know of it."""
@@ -363,15 +377,6 @@ class _Course:
         mesh = bore_of(field, path, scale, length, (self.diameter, outlet))
         rise = length * float(self.tangent[2])
         return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), Line(length)
-
-
-def without_meshes(line: PipeLine, field: str) -> PipeLine:
-    """The line. Raises :class:`SceneError` for one with a bore from a mesh, which elements do not know."""
-    for part in line.parts:
-        if part.mesh:
-            refuse(field, line.name, f"has a bore from a mesh, part {part.number}, which is simulated as a flow alone",
-                   "take --method flow, or a reducer in its place")  # fmt: skip
-    return line
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:
