@@ -197,6 +197,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 def _knobs(given: PartParameters) -> Iterator[Knob]:
     narrow = min(given.diameter, given.outlet_diameter or given.diameter)
+    if given.line is not None:
+        narrow = 2 * read_line(given.line).bores.smallest
     spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / FEWEST]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")
