@@ -73,6 +73,23 @@ def test_a_line_is_the_unit_that_it_is(device, tmp_path, kind):
         assert told[0] / told[1] == pytest.approx(0.15 / 0.25, rel=1e-9)
 
 
+def test_the_line_of_three_metres_is_the_unit_of_its_lengths(tmp_path):
+    """Bend and reducer with straights between: axis, bores, cells, and where walls are; so its run is the unit's."""
+    parts = ("[{straight: 0.6}, {bend: {to: left, radius: 0.5}}, {straight: 0.6}, "
+             "{reducer: {to: 100 mm, length: 0.4}}, {straight: 0.6}]")  # fmt: skip
+    settings = {"concrete": "no1", "flow": 0.0055, "gravity": 0.0, "spacing": 0.0125, "time_step": 3e-3}
+    line = scenes.part(line=written(tmp_path, parts, "125 mm"), **settings)
+    unit = scenes.part(
+        unit="bend-level", diameter=0.125, elbow_radius=0.5, straight=0.6, outlet_diameter=0.1, taper=0.4, **settings
+    )
+    assert line.axis == unit.axis and part_room(line) == part_room(unit)
+    s = np.linspace(0, line.axis.length, 1000)
+    assert line.bore(s) == pytest.approx(unit.bore(s), rel=1e-12)
+    assert line.middle == pytest.approx(unit.middle, rel=1e-12)
+    places = np.random.default_rng(0).uniform(-1.2, 0, (1000, 3))
+    assert bore_distance(line)(places) == pytest.approx(bore_distance(unit)(places), rel=1e-9)
+
+
 def test_each_part_gets_what_it_loses(tmp_path):
     """Of a pressure that falls by 20 kPa/m, three times as fast in the bend, twice in the cone right behind it."""
     parts = ("[{straight: 0.4}, {bend: {to: left, radius: 0.25}}, {reducer: {to: 0.08, length: 0.2}}, "
