@@ -1,4 +1,4 @@
-"""A part of a line, full of concrete that is pumped through it: straight, bend, reducer, or a bore from a mesh file."""
+"""A part of a line, or a line, full of concrete that is pumped through it: straights, bends, reducers, hoses, bores."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class PartParameters(ConcreteParameters, PartSettings):
 
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
-    """Concrete pumped through a part of a line at a given flow: the pressure, and what a bend or taper adds to it.
+    """Concrete pumped through a part of a line, or a line, at a given flow: the pressure, and what each part loses.
 
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
     """
