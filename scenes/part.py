@@ -1,28 +1,39 @@
-"""A part of a line, full of concrete that is pumped through it: straight, bend, reducer, or a bore from a mesh file."""
+"""A part of a line, or a line, full of concrete that is pumped through it: straights, bends, reducers, hoses, bores."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import pairwise
 from typing import Annotated, Any
 
+from warpcrete.core.concretes import is_file
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading, precisions, scaled
-from warpcrete.core.parameters import Above, Needs, OneOf, Within, scene_function
+from warpcrete.core.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.bores import Bores
+from warpcrete.geometry.lines import check_crossing, read_line
 from warpcrete.geometry.mesh_parts import between_pipes
 from warpcrete.geometry.meshes import load
+from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line
 from warpcrete.geometry.walls import MeshWall
 from warpcrete.mps.column import FLOW, ConcreteParameters
 from warpcrete.mps.mixes import CONSTANTS, concrete_of
-from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings
+from warpcrete.mps.part.layout import BESIDE
+from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings, Section
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level")
 ACCURACY = 0.03
 """Of the friction of straight stretches, against theory."""
 REMARKS = ("concrete enters as a plug, through a plane, and leaves where nothing holds it",)
+
+
+ALONE = Needs("line", lambda line: line is None, "is not given")
+APART = 3.0
+"""Cells between two legs of a line, at least, for no cell to have concrete of both."""
 
 
 def _is_given(value: Any) -> bool:
@@ -33,73 +44,123 @@ def _is_given(value: Any) -> bool:
 class PartParameters(ConcreteParameters, PartSettings):
     """Pipe, and what flows through it."""
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What a line's file says of flow and concrete, and a concrete's file of its constants."""
+        said = said_by_line(values)
+        return {**said, **super().implied({**said, **values})}
+
     unit: Annotated[str, "how the pipe goes: straight up or level, or with a bend between two straight stretches",
-                    OneOf(UNITS)] = "bend-to-horizontal"  # fmt: skip
-    diameter: Annotated[float, "inner [m]", Above()] = 0.1
-    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above()] = 0.3
-    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above()] = 0.25
-    angle: Annotated[float, "of a bend [degrees]", Within(5, 135)] = 90.0
+                    OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
+    diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
+    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
+                        ALONE] = 0.3  # fmt: skip
+    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above(), ALONE] = 0.25
+    angle: Annotated[float, "of a bend [degrees]", Within(5, 135), ALONE] = 90.0
     outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
-                               "with a bend a stretch behind it [m]", Above()] = None  # fmt: skip
+                               "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
     wall: Annotated[str | None, "mesh file of the bore (STL, OBJ ...) in place of the round pipe: its axis begins at "
-                    "the origin, along z upright, along x level, and bends as the unit does"] = None  # fmt: skip
+                    "the origin, along z upright, along x level, and bends as the unit does", ALONE] = None  # fmt: skip
     wall_scale: Annotated[
         float, "of the mesh file's unit: 0.001 for mm", Needs("wall", _is_given, "is given"), Above()
     ] = 1.0
     bore_length: Annotated[float | None, "of a mesh that is the middle of a straight unit alone: round pipe of "
                            "diameter is put before it and of outlet_diameter behind [m]",
                            Needs("wall", _is_given, "is given"), Above()] = None  # fmt: skip
+    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
+                    "flow and concrete for those that are not given; it must begin and end straight",
+                    FileIf(is_file)] = None  # fmt: skip
     flow: Annotated[float, "volume flow [m3/s]", Above()] = FLOW
     spacing: Annotated[float, "of the cells [m]; the nearest that divides the radius is taken", Above()] = 0.01
 
 
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
-    """Concrete pumped through a part of a line at a given flow: the pressure, and what a bend or taper adds to it.
+    """Concrete pumped through a part of a line, or a line, at a given flow: the pressure, and what each part loses.
 
     Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
     """
     given = parameters
-    bends = given.unit.startswith("bend")
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
-    axis, taper = _axis(given, bends), None
-    if given.outlet_diameter is not None and given.wall is not None and given.bore_length is None:
-        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
-    if given.outlet_diameter is not None and given.wall is None:
-        before = axis.length - given.straight - given.taper if bends else given.straight
-        taper = (before, before + given.taper, given.outlet_diameter / 2 - given.slip_thickness)
-    narrow = min(given.diameter, given.outlet_diameter or given.diameter) / 2
+    course = _unit(given) if given.line is None else _line(given)
+    narrow = course.bores.smallest
     Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
-    wall = insert = None
-    if given.wall is not None:
-        if given.slip_thickness > 0:
-            refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
-        mesh = load(given.wall, "wall", given.wall_scale)
-        vertices, faces = mesh.vertices, mesh.faces
-        if given.bore_length is not None:
-            if bends:
-                refuse("bore_length", given.bore_length, "is of a straight unit", "take unit horizontal or vertical")
-            insert = (given.straight, given.straight + given.bore_length)
-            radii = (given.diameter / 2, (given.outlet_diameter or given.diameter) / 2)
-            vertices, faces = between_pipes(mesh, axis, insert, radii)
-        wall = MeshWall(name=str(given.wall), vertices=vertices, faces=faces)
-    radius = given.diameter / 2 - given.slip_thickness
+    bores = replace(course.bores, radii=tuple(radius - given.slip_thickness for radius in course.bores.radii))
     return PartScene(
         name="part",
         concrete=concrete,
-        axis=axis,
-        radius=radius,
         flow=given.flow,
         spacing=given.spacing,
-        taper=taper,
-        wall=wall,
-        insert=insert,
         remarks=REMARKS,
         parameters=asdict(given),
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
+        **{f.name: getattr(course, f.name) for f in fields(_Course)} | {"bores": bores},
     )
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Arguments of a scene that say where the pipe goes, and how wide it is."""
+
+    axis: Axis
+    bores: Bores
+    """Of the pipe, the slip layer included."""
+    wall: MeshWall | None = None
+    insert: tuple[float, float] | None = None
+    parts: tuple[Section, ...] = ()
+
+
+def _unit(given: PartParameters) -> _Course:
+    """A part alone."""
+    bends = given.unit.startswith("bend")
+    axis = _axis(given, bends)
+    bores = Bores((0.0,), (given.diameter / 2,))
+    if given.wall is not None:
+        return _Course(axis, bores, *_mesh(given, axis, bends))
+    if given.outlet_diameter is not None:
+        before = axis.length - given.straight - given.taper if bends else given.straight
+        bores = Bores((before, before + given.taper), (given.diameter / 2, given.outlet_diameter / 2))
+    return _Course(axis, bores)
+
+
+def _mesh(given: PartParameters, axis: Axis, bends: bool) -> tuple[MeshWall, tuple[float, float] | None]:
+    """The wall of a mesh file, and between which arc lengths it is more than round pipe [m]."""
+    assert given.wall is not None
+    if given.outlet_diameter is not None and given.bore_length is None:
+        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+    if given.slip_thickness > 0:
+        refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
+    mesh = load(given.wall, "wall", given.wall_scale)
+    vertices, faces, insert = mesh.vertices, mesh.faces, None
+    if given.bore_length is not None:
+        if bends:
+            refuse("bore_length", given.bore_length, "is of a straight unit", "take unit horizontal or vertical")
+        insert = (given.straight, given.straight + given.bore_length)
+        radii = (given.diameter / 2, (given.outlet_diameter or given.diameter) / 2)
+        vertices, faces = between_pipes(mesh, axis, insert, radii)
+    return MeshWall(name=str(given.wall), vertices=vertices, faces=faces), insert
+
+
+def _line(given: PartParameters) -> _Course:
+    """A line as a whole."""
+    assert given.line is not None
+    line = read_line(given.line)
+    check_straight_ends(line, given.line)
+    for part in line.parts:
+        if part.mesh:
+            refuse("line", line.name, f"has a bore from a mesh, part {part.number}, which is simulated alone as a flow",
+                   "take 'warpcrete line', --method dem, or a reducer in its place")  # fmt: skip
+        if part.layer != 1:
+            refuse(f"part {part.number}, hose: layer", part.layer, "is not that of the pipe, and a flow has one layer",
+                   "leave it out, or take 'warpcrete line'")  # fmt: skip
+    axis, bores = joined(line.axis), line.bores
+    check_crossing(line, APART * given.spacing, "lead it another way, or take a smaller spacing")
+    check_return(axis, bores, aside=BESIDE * bores.radii[0] + APART * given.spacing)
+    parts = tuple(Section(part.kind, *map(float, between), part.label)
+                  for part, between in zip(line.parts, pairwise(ends(line)), strict=True))  # fmt: skip
+    return _Course(axis, bores, parts=parts)
 
 
 def _axis(given: PartParameters, bends: bool) -> Axis:
@@ -136,6 +197,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 def _knobs(given: PartParameters) -> Iterator[Knob]:
     narrow = min(given.diameter, given.outlet_diameter or given.diameter)
+    if given.line is not None:
+        narrow = 2 * read_line(given.line).bores.smallest
     spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / FEWEST]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")

@@ -22,6 +22,7 @@ from warpcrete.dem.scene import (
     Stations,
 )
 from warpcrete.dem.sizes import Sizes
+from warpcrete.geometry.mesh_parts import wall_of
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 
 from .pipe import check as check_of_pipe
@@ -40,7 +41,7 @@ def scene(parameters: PartElements) -> Scene:
     given = parameters
     course = course_of(given)
     axis, bores = course.axis, course.bores
-    sizes = sizes_of(given, 2 * bores.smallest)
+    sizes = sizes_of(given, course.narrowest)
     pipe = _pipe(given, course)
     outlet = float(bores.at(axis.length))
     plug = plug_of(given, axis, axis.length, outlet, plug_layers(given, 2 * outlet), outlet)
@@ -77,16 +78,16 @@ def _pipe(given: PartElements, course: Course) -> PipeWall | MeshWall:
         return PipeWall(name="pipe", axis=axis, radius=bores.radii[0])
     outlet = float(bores.at(axis.length))
     beyond = 2 * course.advance + plug_layers(given, 2 * outlet) * given.plug_ball + 2 * outlet
-    vertices, faces = bores.mesh(axis, given.facets, before=2 * bores.largest, after=beyond)
+    vertices, faces = wall_of(axis, bores, course.inserts, given.facets, before=2 * bores.largest, after=beyond)
     return MeshWall(name="pipe", vertices=vertices, faces=faces)
 
 
 def _container(course: Course, pipe: PipeWall | MeshWall) -> PipeContainer:
     """What is packed: all of the pipe from the piston to its end, inside its true wall."""
-    length, least = course.axis.length, course.bores.smallest
+    length, least = course.axis.length, course.narrowest / 2
     if isinstance(pipe, PipeWall):
         return PipeContainer(course.axis, least, length)
-    return PipeContainer(course.axis, least, length, pipe, bores=course.bores)
+    return PipeContainer(course.axis, least, length, pipe, bores=course.bores, clear=course.clear)
 
 
 def _piston(course: Course, radius: float) -> PlaneWall:
@@ -107,7 +108,7 @@ def _stations(given: PartElements, course: Course) -> Stations:
 
 def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
     """What is simplified or outside what is pumped."""
-    narrow = 2 * course.bores.smallest
+    narrow = course.narrowest
     if given.shapes == "spheres":
         yield "aggregates are single spheres; --shapes reference uses the paper's clumps"
     if sizes.largest > WIDEST_STONE * narrow:

@@ -3,32 +3,16 @@
 import numpy as np
 import pytest
 import trimesh
+from tubes import tube
 
 from warpcrete import SceneError, scenes
-from warpcrete.geometry.axis import Axis, Line
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.studies import line_run
-from warpcrete.studies.line_elements import run_elements
 from warpcrete.studies.line_run import _case, run_line
 from warpcrete.studies.lines import line_of, read_line
 
 FLOW = 0.0055
-
-
-def tube(path, radii, length=0.25, aside=0.0, lids=False, scale=1e3, begin=0.0, at=None):
-    """An STL file of a bore in mm: round, of radii [m] at even places."""
-    s = np.linspace(0, length, len(radii)) if at is None else np.array(at)
-    points, faces = Axis((begin, aside, 0), (1, 0, 0), (Line(length),)).swept(s, np.array(radii), 64)
-    if lids:
-        first, last, n = len(points), len(points) - 64, np.arange(64)
-        points = np.concatenate([points, [[begin, aside, 0], [begin + length, aside, 0]]])
-        fans = [np.stack([n + k, (n + 1) % 64 + k, np.full(64, m)], 1) for k, m in ((0, first), (last, first + 1))]
-        faces = np.concatenate([faces, *fans])
-    mesh = trimesh.Trimesh(scale * points, faces)
-    assert mesh.is_watertight == lids
-    mesh.export(path)
-    return path
 
 
 def line(folder, **said):
@@ -108,14 +92,15 @@ def test_a_bore_with_a_hole_or_a_plate_across_it_is_refused(tmp_path):
         line(tmp_path)
 
 
-def test_elements_refuse_a_bore(tmp_path):
+def test_a_flow_through_a_whole_line_refuses_a_bore(tmp_path):
     tube(tmp_path / "valve.stl", [0.0625, 0.0625])
-    with pytest.raises(SceneError, match=r"^line = 'it': has a bore from a mesh, part 2, which is simulated as a flow"):
-        run_elements(line(tmp_path), "zhan", FLOW)
     site = tmp_path / "site.yaml"
-    site.write_text("diameter: 125 mm\nparts:\n  - bore: {file: valve.stl, scale: 0.001, length: 0.25}\n")
-    with pytest.raises(SceneError, match="has a bore from a mesh, part 1"):
-        scenes.part_dem(line=str(site))
+    parts = "parts:\n  - straight: 1\n  - bore: {file: valve.stl, scale: 0.001, length: 0.25}\n  - straight: 1\n"
+    site.write_text(f"diameter: 125 mm\n{parts}")
+    with pytest.raises(
+        SceneError, match=r"^line = 'site': has a bore from a mesh, part 2, which is simulated alone as"
+    ):
+        scenes.part(line=str(site))
 
 
 def scene_of(part, cells=8):

@@ -14,6 +14,7 @@ from warpcrete.core.errors import CapacityError, SceneError
 from warpcrete.core.parameters import Needs, declared_fields
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
+from warpcrete.geometry.bores import Bores
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.mps.stepping import run_abreast
@@ -169,13 +170,16 @@ def test_what_is_no_part_is_refused(given, words):
 def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
     scene = scenes.part(unit="bend-level", straight=0.4, outlet_diameter=0.08, taper=0.2)
     arc = scene.axis.pieces[1].length
-    assert scene.taper == pytest.approx((0.8 + arc, 1.0 + arc, 0.04)) and scene.axis.length == pytest.approx(1.4 + arc)
+    assert scene.bores.places == pytest.approx((0.8 + arc, 1.0 + arc)) and scene.bores.radii == (0.05, 0.04)
+    assert scene.axis.length == pytest.approx(1.4 + arc)
     assert scene.middle == pytest.approx((0.4, 1.0 + arc))
     # The shortest straight that is taken is taken as it is, not less a rounding error.
-    assert scenes.part(unit="vertical", outlet_diameter=0.1, straight=0.14, taper=0.1).taper[0] == 0.14
+    assert scenes.part(unit="vertical", outlet_diameter=0.1, straight=0.14, taper=0.1).bores.places[0] == 0.14
     assert scene.bore(np.array([0.5, 0.9 + arc, 1.2 + arc])) == pytest.approx([0.05, 0.045, 0.04])
-    with pytest.raises(SceneError, match=r"^taper = .*: may not lie in the bend; put it before or behind$"):
-        dataclasses.replace(scene, taper=(0.5, 0.7, 0.04))
+    with pytest.raises(SceneError, match=r"^bores = .*: may not change in a bend; put the taper before or behind it$"):
+        dataclasses.replace(scene, bores=Bores((0.5, 0.7), (0.05, 0.04)))
+    with pytest.raises(SceneError, match=r"^taper = 3\.0: must end in the part, which is 1\.\d+ m long"):
+        dataclasses.replace(scene, bores=Bores((1.0, 3.0), (0.05, 0.04)))
 
 
 def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):

@@ -353,7 +353,9 @@ both by both, in one table.
     - straight: 5 m
 
 A bore is a mesh that begins at its origin and leads along its x; its file is sought beside LINE.yaml, its outlet is the
-line's diameter unless told. It holds the bore alone: straight pipe is put before and behind it. Flows alone take it.
+line's diameter unless told. It holds the bore alone: straight pipe is put before and behind it.
+
+A short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
 
 Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check of a part failed.
 """

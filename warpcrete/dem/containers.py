@@ -31,7 +31,7 @@ class PipeContainer:
 
     `bore`, a mesh, is the true wall where that is no round pipe of `radius` (a reducer, a few facets): `radius` is then
     the least, inside which aggregates are sown, and `area` the mean cross-section. Where `bores` says how wide the pipe
-    is all along, aggregates are sown by that.
+    is all along, aggregates are sown by that; where it is not round, within the circles that are free, `clear`.
     """
 
     axis: Axis
@@ -43,6 +43,7 @@ class PipeContainer:
     area: float | None = None
     """[m2]; None: of the round pipe."""
     bores: Bores | None = None
+    clear: Bores | None = None
 
     def __post_init__(self) -> None:
         positive("container radius", self.radius, "m")
@@ -84,7 +85,7 @@ class PipeContainer:
         radius: np.ndarray | float = self.radius
         if self.bores is not None:
             s = self.bores.spread(u[:, 0], self.length)
-            radius = SOWN * self.bores.at(s)
+            radius = SOWN * (self.clear or self.bores).at(s)
         r = radius * np.sqrt(u[:, 1])
         angle = 2 * np.pi * u[:, 2]
         points, _, normal, side = self.axis.frame(s)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,7 +17,9 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
-from ..geometry.lines import PipeLine, read_line, without_meshes
+from ..geometry.lines import Part, PipeLine, read_line
+from ..geometry.mesh_parts import Insert, bore_of
+from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line
 from .pumping import (
     COARSENINGS,
     UPRIGHT,
@@ -38,6 +42,9 @@ def _is_given(value: Any) -> bool:
     return value is not None
 
 
+OF_MESH = Needs("wall", _is_given, "is given")
+
+
 @dataclass(frozen=True, kw_only=True)
 class CourseParameters:
     """Pipe."""
@@ -52,9 +59,16 @@ class CourseParameters:
     outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
                                "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
-                     Above()] = 0.3  # fmt: skip
-    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these; it must "
-                    "begin and end straight", FileIf(is_file)] = None  # fmt: skip
+                     Needs("wall", lambda wall: wall is None, "is not given"), Above()] = 0.3  # fmt: skip
+    wall: Annotated[str | None, "mesh file of a straight bore (STL, OBJ ...), which begins at its origin and leads "
+                    "along its x, as the middle of unit horizontal; what the axis sees of it is the bore", ALONE,
+                    FileIf(bool)] = None  # fmt: skip
+    wall_scale: Annotated[float, "of the mesh file's unit: 0.001 for mm", OF_MESH, Above()] = 1.0
+    bore_length: Annotated[float | None, "of the mesh; round pipe of diameter is put before it and of outlet_diameter "
+                           "behind [m]", OF_MESH, Above()] = None  # fmt: skip
+    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
+                    "flow and concrete for those that are not given; it must begin and end straight",
+                    FileIf(is_file)] = None  # fmt: skip
     facets: Annotated[int, "round a pipe with a cone, which is made of triangles", Within(8, 1000)] = FACETS
     slices: Annotated[float, "per diameter, in which stress, solid fraction and velocity are measured",
                       Within(0.5, 20)] = 2.0  # fmt: skip
@@ -78,6 +92,12 @@ class PartElements(
 ):  # fmt: skip
     """Concrete, a part of a line, and what pushes it."""
 
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What a line's file says of flow and concrete, and what the concrete stands for."""
+        said = said_by_line(values)
+        return {**said, **super().implied({**said, **values})}
+
 
 @dataclass(frozen=True)
 class Course:
@@ -94,6 +114,15 @@ class Course:
     middle: tuple[float, float] | None
     """Arc lengths between which the part is no straight pipe [m]."""
     line: PipeLine | None = None
+    inserts: tuple[Insert, ...] = ()
+    """Bores from meshes."""
+    clear: Bores | None = None
+    """Circles about the axis that are free, where there are such bores."""
+
+    @property
+    def narrowest(self) -> float:
+        """Least that is free across the axis [m]."""
+        return min([2 * self.bores.smallest, *(insert.mesh.narrowest for insert in self.inserts)])
 
     @property
     def duration(self) -> float:
@@ -109,19 +138,14 @@ class Course:
 
 def course_of(given: PartElements) -> Course:
     """Axis and bores of a part, or of a line, with the piston's run-up before them."""
-    line = None
-    if given.line is not None:
-        line = without_meshes(read_line(given.line), "line")
-        axis, bores = line.axis, line.bores
-        odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
-        ends = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
-        middle = (float(ends[odd[0]]), float(ends[odd[-1] + 1])) if odd else None
-        for place in (0, -1):
-            if line.parts[place].kind != "straight":
-                refuse("line", given.line, f"must begin and end straight: part {line.parts[place].number} is a "
-                       f"{line.parts[place].kind}", "put a straight part there")  # fmt: skip
-    else:
+    line = None if given.line is None else read_line(given.line)
+    if line is not None:
+        check_straight_ends(line, given.line)
+    parts = _meshed(given) if given.wall is not None else line
+    if parts is None:
         axis, bores, middle = _part(given)
+    else:
+        axis, bores, middle = parts.axis, parts.bores, _middle(parts)
     diameter = 2 * bores.radii[0]
     velocity = given.flow / (math.pi * bores.radii[0] ** 2)
     travel = 2 * diameter if given.travel is None else given.travel
@@ -132,10 +156,49 @@ def course_of(given: PartElements) -> Course:
     assert isinstance(first, Line)
     start = np.array(axis.start) - travel * np.array(axis.tangent)
     whole = Axis(tuple(start.tolist()), axis.tangent, (Line(first.length + travel), *axis.pieces[1:]))
-    _check_ends(whole, bores, travel)
-    moved = Bores(tuple(travel + place for place in bores.places), bores.radii)
-    shifted = None if middle is None else (middle[0] + travel, middle[1] + travel)
-    return Course(whole, moved, travel, ramp, velocity, shifted, line)
+    check_return(whole, bores, travel)
+    inserts = () if parts is None else tuple(_inserts(parts, travel))
+    return Course(
+        axis=whole, bores=_moved(bores, travel), travel=travel, ramp=ramp, velocity=velocity,
+        middle=None if middle is None else (middle[0] + travel, middle[1] + travel), line=line, inserts=inserts,
+        clear=_moved(parts.clear, travel) if parts is not None and inserts else None,
+    )  # fmt: skip
+
+
+def _moved(bores: Bores, by: float) -> Bores:
+    return Bores(tuple(by + place for place in bores.places), bores.radii)
+
+
+def _middle(line: PipeLine) -> tuple[float, float] | None:
+    """Arc lengths between which a line is no straight pipe [m]."""
+    odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
+    places = ends(line)
+    return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None
+
+
+def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
+    """Bores from meshes in a line, behind a run-up [m]."""
+    for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
+        if part.mesh:
+            yield Insert(part.mesh, float(begin), float(end))
+
+
+def _meshed(given: PartElements) -> PipeLine:
+    """A level pipe with a bore from a mesh in its middle."""
+    assert given.wall is not None
+    if given.unit != "horizontal":
+        refuse("wall", given.wall, f"is of unit horizontal, not {given.unit}", "take that, or a line with a bore")
+    if given.bore_length is None:
+        refuse("bore_length", None, "must be given with a wall: that of the mesh along its x [m]")
+    wide, outlet = given.diameter, given.outlet_diameter or given.diameter
+    mesh = bore_of("wall", Path(given.wall), given.wall_scale, given.bore_length, (wide, outlet))
+    parts = (
+        Part(1, "straight", wide, given.straight, 0.0, wide),
+        Part(2, "bore", wide, given.bore_length, 0.0, outlet, mesh=mesh),
+        Part(3, "straight", outlet, given.straight, 0.0, outlet),
+    )
+    pieces = tuple(Line(part.length) for part in parts)
+    return PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
@@ -163,20 +226,6 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     return axis, bores, (middle[0] if middle else begin, begin + given.taper)
 
 
-def _check_ends(axis: Axis, bores: Bores, travel: float) -> None:
-    """Refuse a pipe that comes back to the endless planes which the piston and the front are."""
-    s = np.linspace(0, axis.length, 400)
-    points, tangents = axis.at(s)
-    piston, _ = axis.at(travel)
-    reach = bores.largest
-    ahead = (points - piston) @ tangents[0]
-    if np.any(ahead[s > travel + 2 * reach] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane of the piston", "cut it, or turn it less")
-    behind = (points[-1] - points) @ tangents[-1]
-    if np.any(behind[s < axis.length - 2 * reach] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it ends", "cut it, or turn it less")
-
-
 def plug_layers(given: PartElements, diameter: float) -> int:
     """Layers of the plug's balls: as many as stay upright, where the pipe is not upright itself."""
     if given.plug_layers is not None:
@@ -189,9 +238,8 @@ def part_knobs(given: PartElements) -> Iterator[Knob]:
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
     yield precisions()
-    bores = course_of(given).bores
     if given.sizes in ("gaussian", "uniform"):
-        widest = max(2 * WIDEST_STONE * bores.smallest / given.size_max, 1.0)
+        widest = max(WIDEST_STONE * course_of(given).narrowest / given.size_max, 1.0)
         yield Knob("coarse-graining", tuple(coarser(given, c) for c in COARSENINGS if c <= widest), True)
     if given.shapes == "reference":
         yield Knob(

@@ -83,6 +83,17 @@ class Axis:
                 tangent = c * tangent - s * outward
         return result
 
+    def hinges(self) -> np.ndarray:
+        """Unit normals of the planes that its arcs lie in, shape (arcs, 3)."""
+        found = [np.cross(x["outward"], x["tangent"]) for x in self.segments() if isinstance(x["piece"], Arc)]
+        return np.reshape(found, (-1, 3))
+
+    @property
+    def is_plane(self) -> bool:
+        """Does it lie in one plane?"""
+        hinges = self.hinges()
+        return bool(np.all(np.abs(np.cross(hinges[:1], hinges)) < 1e-9))
+
     def at(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Points and unit tangents at arc lengths `s` [m], shape (n,); before and after the ends: straight on."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
@@ -150,10 +161,10 @@ class Axis:
         side = side / np.linalg.norm(side)
         sides = np.broadcast_to(side, points.shape).copy()
         if len({tuple(np.round(np.abs(np.cross(self.tangent, b)), 9)) for b in bends}) > 1:
-            sides = self._carried(s, side)
+            sides = self.carried(s, side)
         return points, tangents, np.cross(sides, tangents), sides
 
-    def _carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
+    def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
         """A unit normal of the axis' start, carried along without twist to arc lengths `s` [m], shape (n, 3)."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0

@@ -82,7 +82,11 @@ class Bores:
         It starts `before` [m] ahead of the axis and ends `after` [m] behind it. Returns vertices (v, 3) and faces
         (f, 3).
         """
-        rings = [[-before], [axis.length + after]] + [[p] for p in self.places if 0 < p < axis.length]
+        return self.mesh_between(axis, -before, axis.length + after, facets)
+
+    def mesh_between(self, axis: Axis, start: float, stop: float, facets: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same from one arc length to another [m]."""
+        rings = [[start], [stop]] + [[p] for p in self.places if 0 < p < axis.length]
         begin = 0.0
         for piece in axis.pieces:
             # As long as wide where it bends; elsewhere boxes of the search must not become long.
@@ -90,7 +94,9 @@ class Bores:
             rings.append(list(np.linspace(begin, begin + piece.length, max(2, 1 + int(np.ceil(piece.length / width))))))
             begin += piece.length
         s = np.unique(np.concatenate(rings))
+        s = s[(s >= start) & (s <= stop)]
         s = s[np.concatenate([[True], np.diff(s) > 1e-3 * self.smallest])]
+        s[-1] = stop
         # The area of a polygon whose corners are r away is n r^2 sin(2 pi / n) / 2.
         wider = np.sqrt(2 * np.pi / (facets * np.sin(2 * np.pi / facets)))
         return axis.swept(s, wider * self.at(s), facets)

@@ -81,17 +81,3 @@ def _after(arc: Arc, tangent: np.ndarray) -> np.ndarray:
 
 def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
-
-
-def distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Least distances [m] of a segment (2, 3) from each of others (n, 2, 3) (Ericson 2005, 5.1.9)."""
-    first, second, between = one[1] - one[0], others[:, 1] - others[:, 0], one[0] - others[:, 0]
-    a, e, f = first @ first, np.sum(second**2, 1), np.sum(second * between, 1)
-    b, c = second @ first, between @ first
-    determinant = a * e - b * b
-    skew = determinant > 1e-12 * a * e
-    s = np.where(skew, np.clip((b * f - c * e) / np.where(skew, determinant, 1.0), 0, 1), 0.0)
-    t = (b * s + f) / e
-    s = np.where((t < 0) | (t > 1), np.clip((b * np.clip(t, 0, 1) - c) / a, 0, 1), s)
-    gap = one[0] + s[:, None] * first - others[:, 0] - np.clip(t, 0, 1)[:, None] * second
-    return np.linalg.norm(gap, axis=1)

@@ -15,7 +15,8 @@ from ..core.concretes import is_file, read_yaml
 from ..core.errors import one_of, positive, refuse
 from .axis import Arc, Axis, Line
 from .bores import Bores
-from .curves import begins, distances, through
+from .crossings import meeting
+from .curves import begins, through
 from .mesh_parts import MeshBore, bore_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
@@ -43,8 +44,6 @@ ASKEW = 20.0
 UP = np.array([0.0, 0.0, 1.0])
 PLACES = {"bend": 9, "hose": 33}
 """Along a part, between which it is taken to be straight when a line is looked at for crossings."""
-HALF_TURN = 0.51 * math.pi
-"""Way along a line over the pipe's diameter within which it is near itself, however it bends."""
 
 
 @dataclass(frozen=True)
@@ -135,10 +134,24 @@ class PipeLine:
 
     @property
     def bores(self) -> Bores:
-        """How wide it is along its axis."""
-        ends = np.concatenate([[0.0], np.cumsum([part.length for part in self.parts])])
-        radii = [self.parts[0].diameter / 2, *(part.outlet / 2 for part in self.parts)]
-        return Bores(tuple(ends.tolist()), tuple(radii))
+        """How wide it is along its axis, bores from meshes by their area."""
+        return self._profile("radii")
+
+    @property
+    def clear(self) -> Bores:
+        """Of circles about its axis that are free."""
+        return self._profile("least")
+
+    def _profile(self, of: str) -> Bores:
+        begin, places, radii = 0.0, [0.0], [self.parts[0].diameter / 2]
+        for part in self.parts:
+            if part.mesh:
+                places += [begin + place for place in part.mesh.places]
+                radii += getattr(part.mesh, of)
+            begin += part.length
+            places.append(begin)
+            radii.append(part.outlet / 2)
+        return Bores(tuple(places), tuple(radii))
 
     def remarks(self) -> list[str]:
         """What a reader should know of it."""
@@ -160,13 +173,19 @@ def read_line(name: Path | str) -> PipeLine:
 
     Raises :class:`SceneError` for one that cannot be read, or whose parts do not fit.
     """
+    given, path = line_file(name)
+    return line_of(given, path.stem, path.parent)
+
+
+def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
+    """What such a file holds, and its path; a concrete's file is sought beside it."""
     path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
     if not path.is_file():
         refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")
     given = dict(read_yaml(path, "line"))
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
-    return line_of(given, path.stem, path.parent)
+    return given, path
 
 
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
@@ -200,7 +219,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         source=str(given.get("source", "")),
         recorded=_above("recorded", given["recorded"], "Pa") if "recorded" in given else None,
     )
-    _check_crossing(line)
+    check_crossing(line)
     return with_stone(line, stone)
 
 
@@ -360,35 +379,16 @@ class _Course:
         return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), Line(length)
 
 
-def without_meshes(line: PipeLine, field: str) -> PipeLine:
-    """The line. Raises :class:`SceneError` for one with a bore from a mesh, which elements do not know."""
-    for part in line.parts:
-        if part.mesh:
-            refuse(field, line.name, f"has a bore from a mesh, part {part.number}, which is simulated as a flow alone",
-                   "take --method flow, or a reducer in its place")  # fmt: skip
-    return line
-
-
-def _check_crossing(line: PipeLine) -> None:
-    """Refuse a line that meets itself."""
-    begin = 0.0
-    rows: list[tuple[int, float, float, float]] = []
-    edges = []
-    for part in line.parts:
-        s = np.linspace(begin, begin + part.length, PLACES.get(part.kind, 2))
-        points, _ = line.axis.at(s)
+def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:
+    """Refuse a line that meets itself, or that comes nearer to itself than a `gap` [m]."""
+    parts = line.parts
+    spans = []
+    for part in parts:
         wide = max(part.diameter, part.outlet)
-        rows += [(part.number, s[k], s[k + 1], wide) for k in range(len(s) - 1)]
-        edges += [points[k : k + 2] for k in range(len(s) - 1)]
-        begin += part.length
-    number, start, end, wide = np.array(rows).T
-    ends = np.array(edges)
-    for k in range(len(rows)):
-        later = np.arange(k + 1, len(rows))
-        apart = 0.5 * (wide[k] + wide[later])
-        # What follows along the tightest bend, of half a diameter, is nearer than a diameter for half a turn.
-        far = start[later] - end[k] > HALF_TURN * apart
-        near = later[far][distances(ends[k], ends[later[far]]) < apart[far]]
-        if len(near):
-            refuse("parts", [int(number[k]), int(number[near[0]])], "meet: the line crosses itself there",
-                   "lead it another way")  # fmt: skip
+        # Legs that run beside each other behind a turn are near as a whole: only pieces of them tell.
+        spans.append((part.length, wide, PLACES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
+    found = meeting(line.axis, spans, gap)
+    if found is None:
+        return
+    why = f"come within {gap:.3g} m of each other" if gap else "meet: the line crosses itself there"
+    refuse("parts", [parts[k].number for k in found], why, hint)

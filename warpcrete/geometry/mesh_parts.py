@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import numpy as np
 
 from ..core.errors import refuse
 from .axis import Axis, Line
+from .bores import Bores
 from .meshes import border_edges, border_loops, load, rays
 
 if TYPE_CHECKING:  # half a second to import, and most lines have no mesh
@@ -30,6 +32,8 @@ AROUND, FINE, FACETS = 24, 0.005, 96
 """Directions in which a bore is measured, diameters between places, and facets of round pipe."""
 STEPS = 4000
 """Places at most."""
+PROFILE = 0.05
+"""Diameters between places of what a line knows of its radii."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,12 @@ class MeshBore:
     """Across the axis [m]."""
     digest: str
     """Of what the file holds and how it is scaled."""
+    places: tuple[float, ...]
+    """From where it begins, rising [m]."""
+    radii: tuple[float, ...]
+    """There, of circles of its area [m]."""
+    least: tuple[float, ...]
+    """Of circles about the axis that are free there [m]."""
 
 
 def bore_of(field: str, file: Path, scale: float, length: float, diameters: tuple[float, float]) -> MeshBore:
@@ -81,7 +91,13 @@ def bore_of(field: str, file: Path, scale: float, length: float, diameters: tupl
         refuse(f"{field}: file", name, "is blocked: a surface crosses the line's axis", "leave the bore open there")
     across = reach[:, : AROUND // 2] + reach[:, AROUND // 2 :]
     digest = hashlib.sha256(Path(file).read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    return MeshBore(name, scale, float(across.min()), digest)
+    s, count = _places(length, width), max(2, round(length / (PROFILE * width)))
+    blocks = [np.array_split(each, min(count, len(s))) for each in (s, np.mean(reach**2, axis=1), reach.min(axis=1))]
+    places, radii, least = (
+        tuple(float(of(block)) for block in each)
+        for of, each in zip((np.mean, lambda area: np.sqrt(np.mean(area)), np.min), blocks, strict=True)
+    )
+    return MeshBore(name, scale, float(across.min()), digest, places, radii, least)
 
 
 def _check_closed(mesh: trimesh.Trimesh, field: str, name: str, length: float, near: float) -> None:
@@ -95,13 +111,16 @@ def _check_closed(mesh: trimesh.Trimesh, field: str, name: str, length: float, n
                "each end or none", "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
 
 
+def _places(length: float, width: float) -> np.ndarray:
+    """Where along a bore it is measured [m]."""
+    inset = min(0.01 * width, 0.02 * length)  # beside a lid
+    return np.linspace(inset, length - inset, int(np.clip(length / (FINE * width), 20, STEPS)))
+
+
 def _probed(mesh: trimesh.Trimesh, length: float, width: float) -> np.ndarray:
     """Distances [m] of the wall from the axis at places along it, -1 for none, shape (places, AROUND)."""
-    count = int(np.clip(length / (FINE * width), 20, STEPS))
-    inset = min(0.01 * width, 0.02 * length)  # beside a lid
-    points, _, normal, side = Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (Line(length),)).frame(
-        np.linspace(inset, length - inset, count)
-    )
+    axis = Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (Line(length),))
+    points, _, normal, side = axis.frame(_places(length, width))
     # Turned by an odd angle, so that rays do not run into the edges between the facets of a regular tube.
     angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
     ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
@@ -119,11 +138,8 @@ def between_pipes(
     """
     begin, end = insert
     start, tangent = np.array(axis.start, float), np.array(axis.tangent, float)
-    vertices = mesh.vertices + begin * tangent
-    middle = (vertices[mesh.faces].mean(1) - start) @ tangent
-    across = np.abs(mesh.face_normals @ tangent) > ACROSS
-    lids = across & ((middle < begin + NEAR * radii[0]) | (middle > end - NEAR * radii[1]))
-    parts = [(vertices, mesh.faces[~lids])]
+    faces = _without_lids(mesh, (mesh.triangles_center - start) @ tangent, tangent, end - begin, radii)
+    parts = [(mesh.vertices + begin * tangent, faces)]
     wider = np.sqrt(2 * np.pi / (FACETS * np.sin(2 * np.pi / FACETS)))  # the area of a circle
     # Pipe reaches a little into the mesh, for a ray in a plane where both only end finds no wall, and out of the part.
     for low, high, radius in ((-radii[0], begin, radii[0]), (end, axis.length + radii[1], radii[1])):
@@ -131,6 +147,57 @@ def between_pipes(
         low, high = (low, high + more) if low < 0 else (low - more, high)
         count = 2 + int((high - low) / (4 * radius))  # boxes of the search must not become long
         parts.append(axis.swept(np.linspace(low, high, count), wider * radius, FACETS))
+    return _together(parts)
+
+
+def _without_lids(
+    mesh: trimesh.Trimesh, along: np.ndarray, tangent: np.ndarray, length: float, radii: tuple[float, float]
+) -> np.ndarray:
+    """Faces (f, 3) that do not close an end of the bore; `along` are arc lengths of their middles [m]."""
+    across = np.abs(mesh.face_normals @ tangent) > ACROSS
+    return mesh.faces[~(across & ((along < NEAR * radii[0]) | (along > length - NEAR * radii[1])))]
+
+
+@dataclass(frozen=True)
+class Insert:
+    """Where a bore from a mesh lies along an axis."""
+
+    mesh: MeshBore
+    begin: float
+    """Arc length [m]."""
+    end: float
+    """[m]"""
+
+
+def wall_of(
+    axis: Axis, bores: Bores, inserts: Sequence[Insert], facets: int, before: float, after: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of the wall of a pipe that meshes are pieces of.
+
+    Round pipe, of `facets` and its own volume, reaches a little into them, so that nothing finds a gap; it starts
+    `before` [m] ahead of the axis and ends `after` [m] behind it. A mesh's z is up where the line begins level, and
+    against the way it bends up by; it is carried along without twist.
+    """
+    level = np.array([0.0, 0.0, 1.0])
+    tangent = np.array(axis.tangent)
+    if abs(tangent @ level) > 0.5:
+        level = -np.sign(tangent[2]) * np.array([1.0, 0.0, 0.0])
+    parts, begin = [], -before
+    for insert in inserts:
+        radii = float(bores.at(insert.begin)), float(bores.at(insert.end))
+        parts.append(bores.mesh_between(axis, begin, insert.begin + 2 * OVERLAP * radii[0], facets))
+        mesh = load(insert.mesh.file, "bore", insert.mesh.scale)
+        faces = _without_lids(mesh, mesh.triangles_center[:, 0], np.eye(3)[0], insert.end - insert.begin, radii)
+        point, ahead = (each[0] for each in axis.at(insert.begin))
+        up = axis.carried(insert.begin, level)[0]
+        parts.append((point + mesh.vertices @ np.array([ahead, np.cross(up, ahead), up]), faces))
+        begin = insert.end - 2 * OVERLAP * radii[1]
+    parts.append(bores.mesh_between(axis, begin, axis.length + after, facets))
+    return _together(parts)
+
+
+def _together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """One mesh of several."""
     firsts = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     faces = np.concatenate([faces + first for (_, faces), first in zip(parts, firsts, strict=True)])
     return np.concatenate([points for points, _ in parts]), faces

@@ -26,7 +26,7 @@ from ..record.loading import load
 from ..record.run_folder import TableRecorder
 from ..scenes import modules
 from .line_run import GRAVITY, folder_name, free_folder, known_folder
-from .lines import Part, PipeLine, without_meshes
+from .lines import Part, PipeLine
 
 SCENE = "part-dem"
 STRAIGHT = 3.0
@@ -214,7 +214,7 @@ def run_elements(
     `out`, and those in `known`, the folder of an earlier line, are taken. Raises :class:`SceneError` for settings that
     make no scene, and the error of the first run that ended in one.
     """
-    elements, line = elements or Elements(), without_meshes(line, "line")
+    elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():
         refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
     kinds = dict(_kinds(line))
@@ -226,7 +226,8 @@ def run_elements(
     runs: dict[tuple[Any, int], Any] = {}
     new = []
     for key, seed, scene in jobs:
-        folder = None if known is None else known_folder(known / "parts", scene)
+        mesh = kinds[key].mesh
+        folder = None if known is None else known_folder(known / "parts", scene, mesh.digest if mesh else "")
         if folder is None:
             new.append((key, seed, scene))
         else:
@@ -272,7 +273,10 @@ def _parameters(
         own |= {"unit": "horizontal"}
         if part.kind == "reducer":
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
-    own = sized(own, min(min(each.diameter, each.outlet) for each in line.parts), elements)
+        if part.mesh:
+            own |= {"wall": part.mesh.file, "wall_scale": part.mesh.scale, "bore_length": part.length,
+                    "outlet_diameter": part.outlet}  # fmt: skip
+    own = sized(own, min(each.narrow for each in line.parts), elements)
     if pressed:
         own["plug_pressure"] = PRESSURE * own["modulus"]
     return own

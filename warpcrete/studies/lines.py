@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.lines import Part, PipeLine, distances, line_of, read_line, shipped_lines, with_stone, without_meshes
+from ..geometry.lines import Part, PipeLine, line_of, read_line, shipped_lines, with_stone
 from ..theory.pipe import Concrete, Line, rested, steady
 
 __all__ = [
-    "Part", "PipeLine", "distances", "friction", "layered", "line_of", "read_line", "restart", "shipped_lines",
-    "with_stone", "without_meshes",
+    "Part", "PipeLine", "friction", "layered", "line_of", "read_line", "restart", "shipped_lines", "with_stone",
 ]  # fmt: skip
 
 FINE = 200

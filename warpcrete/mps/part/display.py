@@ -31,7 +31,7 @@ class PartDisplay(Display):
 
     @property
     def _images(self) -> tuple[float, ...]:
-        return (1.0, -1.0) if self._scene.wall is None else (1.0,)
+        return (1.0, -1.0) if self._scene.is_half else (1.0,)
 
     @cached_property
     def _chosen(self) -> np.ndarray:
@@ -55,8 +55,7 @@ class PartDisplay(Display):
         scene = self._scene
         if self.colouring == "pressure":
             return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
-        narrow = float(np.min(scene.bore(np.linspace(0, scene.axis.length, 50))))
-        fastest = 1.5 * scene.velocity * (scene.radius / narrow) ** 2
+        fastest = 1.5 * scene.velocity * (scene.radius / scene.narrowest) ** 2
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
     def fields(self) -> dict[str, np.ndarray]:
@@ -99,20 +98,14 @@ class PartDisplay(Display):
         """Arc lengths [m] and the friction ahead there [Pa]."""
         return self.once("friction ahead", lambda: loss_along(self.simulation.flow))
 
-    def _weight(self, place: np.ndarray) -> np.ndarray:
-        """Of the concrete that stands above a place, up to the end [Pa]."""
-        scene = self._scene
-        height = scene.axis.at(np.append(place, scene.axis.length))[0][:, 2]
-        return scene.concrete.density * scene.gravity * (height[-1] - height[:-1])
-
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths [m] and the mean pressure of each section, with the concrete's weight [kPa]."""
         place, friction = self._ahead()
-        return place, (friction + self._weight(place)) / 1e3
+        return place, (friction + self._scene.weight(place)) / 1e3
 
     def _expected(self) -> tuple[np.ndarray, np.ndarray]:
         place = self._ahead()[0]
-        return place, (np.interp(place, *self._friction) + self._weight(place)) / 1e3
+        return place, (np.interp(place, *self._friction) + self._scene.weight(place)) / 1e3
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
@@ -140,5 +133,4 @@ class PartDisplay(Display):
         """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
         scene = self._scene
         points, _ = scene.axis.at(np.linspace(0, scene.axis.length, 50))
-        wide = float(np.max(scene.bore(np.linspace(0, scene.axis.length, 50))))
-        return np.stack([points.min(0) - wide, points.max(0) + wide])
+        return np.stack([points.min(0) - scene.widest, points.max(0) + scene.widest])

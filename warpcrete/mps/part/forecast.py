@@ -6,8 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ...core.errors import InstabilityError, SceneError
 from ...core.footprint import footprint
 from ...core.forecast import Forecast, Probe, median_time, timed
@@ -38,7 +36,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         device="",
         counts=simulation.flow.counts,
         features={
-            "dimensions": "in space" if scene.wall is not None else "half of it, in space",
+            "dimensions": "half of it, in space" if scene.is_half else "in space",
             "walls": "mesh" if scene.wall is not None else "exact",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
@@ -65,7 +63,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 def _duration(scene: PartScene, device: str, precision: str) -> tuple[float, list[str]]:
     """Simulated time until the flow is steady [s], by a coarser copy, and remarks."""
-    narrow = 2 * float(np.min(scene.bore(np.linspace(0, scene.axis.length, 50))))
+    narrow = 2 * scene.narrowest
     simulation = None
     try:
         coarser = replace(scene, spacing=max(scene.spacing, 0.95 * narrow / FEWEST))

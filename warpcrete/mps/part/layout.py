@@ -6,8 +6,6 @@ axis, which goes with it. What has left comes in again.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ...geometry.meshes import enclosed, signed_distance
@@ -19,25 +17,30 @@ from .scene import PartScene
 
 INLET = ROUGH + 1
 """Number of the plane that concrete enters through."""
-BEHIND = 2
-"""Cells of the room around the bore."""
+BEHIND, BESIDE = 2, 1.5
+"""Cells of the room around the bore; how far the inlet's plane reaches, over the radius, and as many cells."""
 ACROSS, NEAR = 0.9, 0.1
 """Cosine between a triangle's normal and the axis above which it closes a pipe, if it lies so near an end or beyond,
 over the radius.
 """
 ABREAST = 2
 """Particles of a cell along each axis."""
+PLACES = 200
+"""Along the axis, at which the room that it needs is looked for."""
 
 
 class Frame:
-    """The grid's axes in the scene's room: the last is the way out, the first lies in the plane of a bend."""
+    """The grid's axes in the scene's room: the last is the way out, the first lies in the plane of its bends, if they
+    have one.
+    """
 
     def __init__(self, scene: PartScene) -> None:
         self.end, out = (a[0] for a in scene.axis.at(scene.axis.length))
         _, into = (a[0] for a in scene.axis.at(0.0))
         across = into - (into @ out) * out
         if np.linalg.norm(across) < 1e-9:
-            across = np.eye(3)[np.argmin(np.abs(out))]
+            hinges = scene.axis.hinges()
+            across = np.cross(hinges[0], out) if len(hinges) else np.eye(3)[np.argmin(np.abs(out))]
             across = across - (across @ out) * out
         across = across / np.linalg.norm(across)
         self.axes = np.stack([across, np.cross(out, across), out])
@@ -56,18 +59,18 @@ def part_room(scene: PartScene) -> Room:
     """Cells around the part."""
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
-    wide = float(np.max(scene.bore(np.linspace(0, scene.axis.length, 50))))
-    points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, 200))
+    wide = scene.widest
+    points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, PLACES))
     places = frame.inward(points)
     # A section reaches as far along an axis as it is not square to it.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
     low, high = (places - reach).min(0) - BEHIND * h, (places + reach).max(0) + BEHIND * h
-    if scene.wall is None:
+    if scene.is_half:
         low[1] = 0.0
     high[2] = 0.0
     counts = np.ceil((high - low) / h).astype(int)
     low[2] = -counts[2] * h
-    front = MIRROR if scene.wall is None else WALL
+    front = MIRROR if scene.is_half else WALL
     sides = ((WALL, WALL), (front, WALL), (WALL, BARE))
     return Room(tuple(map(int, counts)), (h, h, h), tuple(map(float, low)), sides)
 
@@ -86,19 +89,14 @@ def bore_distance(scene: PartScene) -> Distance:
             return np.where(enclosed(wall, axis, places), 1.0, -1.0) * np.abs(signed_distance(mesh, places))
 
         return within
-    slope = 0.0
-    if scene.taper is not None:
-        begin, end, narrow = scene.taper
-        slope = (scene.radius - narrow) / (end - begin)
+    places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
+    # Across a cone's wall is less far than across its axis.
+    lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:
-        places = frame.outward(x)
-        s = axis.along(places)
-        gap = scene.bore(s) - np.linalg.norm(places - axis.nearest(places), axis=1)
-        if scene.taper is None:
-            return gap
-        tapers = (s > scene.taper[0]) & (s < scene.taper[1])
-        return np.where(tapers, gap / math.sqrt(1 + slope * slope), gap)
+        nearest, s = axis.projected(frame.outward(x))
+        gap = scene.bore(s) - np.linalg.norm(frame.outward(x) - nearest, axis=1)
+        return gap / lean[np.searchsorted(places, s)]
 
     return distance
 
@@ -123,7 +121,7 @@ def inlet_distance(scene: PartScene) -> Distance:
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))
     x0, way = frame.inward(start[None])[0], frame.axes @ tangent
-    wide = 1.5 * float(scene.bore(0.0)) + BEHIND * scene.spacing
+    wide = BESIDE * float(scene.bore(0.0)) + BEHIND * scene.spacing
 
     def distance(x: np.ndarray) -> np.ndarray:
         along = (x - x0) @ way
@@ -146,7 +144,7 @@ def part_layout(scene: PartScene) -> GridLayout:
     places, mass = fill_cells(room, ABREAST, concrete)
     _, tangent = scene.axis.at(0.0)
     way = frame.axes @ tangent[0]
-    share = 0.5 if room.sides[1][0] == MIRROR else 1.0
+    share = 0.5 if scene.is_half else 1.0
     speed = share * scene.flow / _area(geometry, room, way)
     velocity = tuple(float(speed * c) for c in way)
     depth = inlet(places)
@@ -184,8 +182,9 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     return total
 
 
-def stations(scene: PartScene, room: Room) -> np.ndarray:
-    """Arc length of the middle of each cell, shape as the state's cells, the last axis first [m]."""
-    places = room.places([0.5] * 3)[1:-1, 1:-1, 1:-1]
-    flat = scene.axis.along(Frame(scene).outward(places.reshape(-1, 3)))
-    return flat.reshape(places.shape[:-1]).transpose(2, 1, 0)
+def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
+    """Arc length of the middle of each of some cells [m]; `chosen` says which, shape as the state's cells, the last
+    axis first.
+    """
+    cells = np.argwhere(chosen)[:, ::-1]
+    return scene.axis.along(Frame(scene).outward(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))

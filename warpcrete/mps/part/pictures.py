@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,8 @@ def plot_part(run: Run) -> Any:
     fine = np.linspace(0, scene.axis.length, 60)
     theory = [1e-3 * scene.friction(x, scene.axis.length) for x in fine[:-1]] + [0.0]
     along.plot(fine, theory, "k--", linewidth=0.9, label="as straight pipes, theory")
-    begin, end = scene.middle
-    if end > begin:
-        along.axvspan(begin, end, color="0.92", zorder=0, label=_middle(scene))
+    for name, begin, end in _shaded(scene):
+        along.axvspan(begin, end, color="0.9", zorder=0.5, label=name)
     along.set(xlabel="along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
     along.legend(frameon=False, fontsize=8)
     course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:])
@@ -37,10 +37,14 @@ def plot_part(run: Run) -> Any:
     return figure
 
 
-def _middle(scene: PartScene) -> str:
-    """What lies between the straight stretches."""
-    names = ["bend"] * (len(scene.axis.pieces) > 1) + ["taper"] * (scene.taper is not None)
-    return ", ".join(names) or "other bore"
+def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
+    """What is no straight pipe, with a name for all of it, and where it begins and ends."""
+    odd = [section for section in scene.sections if not section.straight]
+    if not odd and scene.middle[1] > scene.middle[0]:
+        yield "other bore", *scene.middle
+    kinds = ", ".join(dict.fromkeys(section.kind for section in odd))
+    for number, section in enumerate(odd):
+        yield "" if number else kinds, section.begin, section.end
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
+from ...core.run import Table
 from ...kernels.mps.grid.cells import LIQUID
 from ..grid.flow import GridFlow
 from .layout import stations
-from .scene import CLEAR, PartScene
+from .scene import CLEAR, PartScene, Section
 
 UNITS = {
     "time": "s",
@@ -22,20 +25,23 @@ UNITS = {
 }
 """Of the columns of a row."""
 
+FULL = 0.3
+"""Part of a slice's volume that cells must have for it to count."""
+
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Arc lengths [m] and the friction still ahead there, the mean over each section [Pa]; weight is left out."""
     scene: PartScene = flow.scene
     layout = flow.state.layout
-    s, h = stations(scene, layout.room), layout.spacing
-    room = flow.state.cells("room")
-    weight = np.where((flow.state.cells("liquid") > 0) & (s > 0) & (s < scene.axis.length), room, 0.0)
+    h, liquid = layout.spacing, flow.state.cells("liquid") > 0
+    s = stations(scene, layout.room, liquid)
+    weight = np.where((s > 0) & (s < scene.axis.length), flow.state.cells("room")[liquid], 0.0)
     bins = np.clip((s / h).astype(int), 0, int(scene.axis.length / h))
     total, whole, place = (
-        np.bincount(bins.ravel(), (weight * values).ravel())
-        for values in (flow.state.cells("pressure"), np.ones_like(s), s)
+        np.bincount(bins, weight * values) for values in (flow.state.cells("pressure")[liquid], np.ones_like(s), s)
     )
-    there = whole > 0.3 * np.median(whole[whole > 0])
+    section = (0.5 if scene.is_half else 1.0) * np.pi * scene.bore((np.arange(len(whole)) + 0.5) * h) ** 2
+    there = whole > FULL * section / h**2
     return place[there] / whole[there], total[there] / whole[there]
 
 
@@ -55,6 +61,42 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
     return lines[0], lines[1]
 
 
+def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
+    """Pressure along the way, with the concrete's weight, from the friction that is ahead at arc lengths [m], [Pa]."""
+    columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
+    return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})
+
+
+def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]:
+    """What each section of a part loses by friction [Pa]: differences of the pressure at its ends.
+
+    There it is by the line through a straight stretch, of what lies a radius off its ends, and where no straight
+    stretch that has a line ends by the mean over the section.
+    """
+    sections = scene.sections
+    at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]
+    for first, last in _stretches(sections):
+        begin, end = sections[first].begin, sections[last].end
+        low, high = (place + sign * CLEAR * float(scene.bore(place)) for place, sign in ((begin, 1), (end, -1)))
+        chosen = (s > low) & (s < high)
+        if chosen.sum() > 2:
+            line = np.polyfit(s[chosen], pressure[chosen], 1)
+            for k in range(first, last + 2):
+                at[k] = float(np.polyval(line, sections[k].begin if k <= last else end))
+    return [at[k] - at[k + 1] for k in range(len(sections))]
+
+
+def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
+    """Numbers of the first and last section of straight ones in a row."""
+    first = None
+    for k, section in enumerate(sections):
+        if section.straight and first is None:
+            first = k
+        if first is not None and (k + 1 == len(sections) or not sections[k + 1].straight):
+            yield first, k
+            first = None
+
+
 def measured(flow: GridFlow) -> dict[str, float]:
     """A row of the series. `pressure` is that at the start of the part, with the concrete's weight over its rise."""
     scene: PartScene = flow.scene
@@ -69,7 +111,7 @@ def measured(flow: GridFlow) -> dict[str, float]:
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
     # A face of the open side stands for half a cell of concrete.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
-    half = 0.5 if scene.wall is None else 1.0
+    half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")
     moving = flow.state.faces("kind") == int(LIQUID)
     weight = scene.concrete.density * scene.gravity * scene.rise

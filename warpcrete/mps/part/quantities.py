@@ -81,6 +81,10 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Lines about a run besides its quantities."""
+    """Lines about a run besides its quantities: what each part of a line loses, and what went wrong."""
+    parts = run.result.get("parts", ()) if run.scene.parts else ()
+    for count, part in enumerate(parts, 1):
+        ours, theory = number(part["loss"]), number(part["loss_theory"])
+        yield f"part {count}", f"{ours / 1e3:.4g} kPa, {ours / theory:.3f} times straight pipe   ({part['what']})"
     if run.finished and not run.result["steady"]:
         yield "not steady", f"the pressure still changes after {run.series['time'][-1]:.3g} s"

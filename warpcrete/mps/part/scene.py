@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...core.errors import between, positive, refuse
 from ...core.html import Parametrised
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
+from ...geometry.bores import Bores
 from ...geometry.meshes import rays
 from ...geometry.walls import MeshWall
 from ...theory.pipe import Concrete, Steady, steady
@@ -50,6 +52,30 @@ class PartSettings(Declared):
     seed: Annotated[int, "nothing is random", Within(0)] = 0
 
 
+@dataclass(frozen=True)
+class Section:
+    """A piece of the way."""
+
+    kind: str
+    """As a line's parts have it, or taper."""
+    begin: float
+    """Arc length [m]."""
+    end: float
+    """[m]"""
+    called: str = ""
+    """What it is; its kind, unless told."""
+
+    @property
+    def straight(self) -> bool:
+        """Is it straight pipe?"""
+        return self.kind == "straight"
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return self.called or self.kind
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartScene(Parametrised, PartSettings):
     """Concrete that fills a pipe along an axis and flows through it, in at its start and out at its end; SI units, z
@@ -59,15 +85,15 @@ class PartScene(Parametrised, PartSettings):
     name: str
     concrete: Concrete
     axis: Axis
-    """Its first and last pieces are straight; at most one arc lies between."""
-    radius: float
-    """Inner, at the start [m]."""
+    """Its first and last pieces are straight."""
+    bores: Bores
+    """Inner radii of the round pipe along it, which change in straight pieces alone."""
     flow: float
     """[m3/s]"""
     spacing: float
     """Wanted width of the cells [m]; the nearest that divides the radius at the start."""
-    taper: tuple[float, float, float] | None = None
-    """Arc lengths between which a cone leads to another radius, and that radius [m]."""
+    parts: tuple[Section, ...] = ()
+    """Of a line, whose losses are told; empty: as axis and bores have them."""
     wall: MeshWall | None = None
     """Instead of the round pipe: a mesh, of which what the axis sees is the bore."""
     insert: tuple[float, float] | None = None
@@ -79,25 +105,26 @@ class PartScene(Parametrised, PartSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("radius", "flow", "spacing"):
+        for name in ("flow", "spacing"):
             positive(name, getattr(self, name), "m3/s" if name == "flow" else "m")
         pieces = self.axis.pieces
-        arcs = [piece for piece in pieces if isinstance(piece, Arc)]
-        if isinstance(pieces[0], Arc) or isinstance(pieces[-1], Arc) or len(arcs) > 1:
-            refuse("axis", pieces, "must begin and end straight, with one arc between at most")
-        for arc in arcs:
-            if arc.radius <= self.radius:
-                refuse("elbow radius", arc.radius, "must exceed the pipe's radius", f"take more than {self.radius:g} m")
-            between("angle", arc.angle, 1e-3, 0.75 * np.pi, "rad", "a sharper turn meets itself")
-        if self.taper is not None:
-            begin, end, narrow = self.taper
-            positive("outlet radius", narrow, "m")
-            between("taper", begin, 0, end, "m")
-            between("taper", end, np.nextafter(begin, np.inf), self.axis.length, "m", "the taper must end in the part")
-            if arcs and begin < self.axis.length - pieces[-1].length and end > pieces[0].length:
-                refuse("taper", self.taper, "may not lie in the bend", "put it before or behind")
+        if isinstance(pieces[0], Arc) or isinstance(pieces[-1], Arc):
+            refuse("axis", pieces, "must begin and end straight")
+        begin = 0.0
+        for piece in pieces:
+            wide = self.bores.at([begin, begin + piece.length])
+            if isinstance(piece, Arc):
+                if piece.radius <= wide.max():
+                    refuse("elbow radius", piece.radius, "must exceed the pipe's radius",
+                           f"take more than {wide.max():g} m")  # fmt: skip
+                between("angle", piece.angle, 1e-3, 0.75 * np.pi, "rad", "a sharper turn meets itself")
+                if np.ptp(wide) > 1e-9 * wide.max():
+                    refuse("bores", wide.tolist(), "may not change in a bend", "put the taper before or behind it")
+            begin += piece.length
+        if self.bores.places[-1] > self.axis.length * (1 + 1e-9):
+            refuse("taper", self.bores.places[-1], f"must end in the part, which is {self.axis.length:g} m long")
         object.__setattr__(self, "_bores", self._measured_bores())
-        least = 2 * min(float(self.bore(s)) for s in np.linspace(0, self.axis.length, 50))
+        least = 2 * self.narrowest
         if self.spacing > least / FEWEST:
             refuse("spacing", self.spacing, f"must leave {FEWEST} cells across the narrowest bore, {least:.4g} m",
                    f"take {least / FEWEST:.3g} m or less")  # fmt: skip
@@ -143,10 +170,31 @@ class PartScene(Parametrised, PartSettings):
         measured = getattr(self, "_bores", None)
         if measured is not None:
             return np.asarray(np.interp(s, *measured))
-        if self.taper is None:
-            return np.full(np.shape(s), self.radius)
-        begin, end, narrow = self.taper
-        return np.asarray(np.interp(s, [begin, end], [self.radius, narrow]))
+        return self.bores.at(s)
+
+    @property
+    def radius(self) -> float:
+        """Inner, of the round pipe at the start [m]."""
+        return float(self.bores.at(0.0))
+
+    @property
+    def narrowest(self) -> float:
+        """Least radius of the bore [m]."""
+        return self.bores.smallest if self.wall is None else float(np.min(self.bore(self._along)))
+
+    @property
+    def widest(self) -> float:
+        """Largest [m]."""
+        return self.bores.largest if self.wall is None else float(np.max(self.bore(self._along)))
+
+    @property
+    def _along(self) -> np.ndarray:
+        return np.linspace(0, self.axis.length, 50)
+
+    @property
+    def is_half(self) -> bool:
+        """Is one side of it computed alone, as the other mirrors it?"""
+        return self.wall is None and self.axis.is_plane
 
     @property
     def velocity(self) -> float:
@@ -165,13 +213,7 @@ class PartScene(Parametrised, PartSettings):
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
-        ends = []
-        if len(self.axis.pieces) > 1:
-            ends += [self.axis.pieces[0].length, self.axis.length - self.axis.pieces[-1].length]
-        if self.taper is not None:
-            ends += self.taper[:2]
-        if self.insert is not None:
-            ends += self.insert
+        ends = [place for part in self.sections if not part.straight for place in (part.begin, part.end)]
         if ends:
             return min(ends), max(ends)
         if measured is not None and np.ptp(measured[1]) > 0.03 * self.radius:
@@ -183,10 +225,46 @@ class PartScene(Parametrised, PartSettings):
         return half, half
 
     @property
+    def sections(self) -> tuple[Section, ...]:
+        """Its parts in a row, straight or not."""
+        if self.parts:
+            return self.parts
+        found, begin = [], 0.0
+        for piece in self.axis.pieces:
+            end = begin + piece.length
+            if isinstance(piece, Arc):
+                found.append(Section("bend", begin, end))
+            else:
+                found += self._straights(begin, end)
+            begin = end
+        return tuple(found)
+
+    def _straights(self, begin: float, end: float) -> Iterator[Section]:
+        """Sections of a straight piece of the axis: pipe, and what is none."""
+        odd = [("bore", *self.insert)] if self.insert is not None else []
+        if self.wall is None:
+            places, radii = self.bores.places, self.bores.radii
+            odd = [("taper", places[k], places[k + 1]) for k in range(len(places) - 1) if radii[k] != radii[k + 1]]
+        for name, low, high in odd:
+            if not begin <= low < end:
+                continue
+            if low > begin:
+                yield Section("straight", begin, low)
+            yield Section(name, low, high)
+            begin = high
+        if end > begin:
+            yield Section("straight", begin, end)
+
+    @property
     def rise(self) -> float:
         """Of the whole part [m]."""
         ends, _ = self.axis.at([0.0, self.axis.length])
         return float(ends[1, 2] - ends[0, 2])
+
+    def weight(self, s: np.ndarray) -> np.ndarray:
+        """Of the concrete that stands above arc lengths [m], up to the end, shape as `s` [Pa]."""
+        height = self.axis.at(np.append(s, self.axis.length))[0][:, 2]
+        return self.concrete.density * self.gravity * (height[-1] - height[:-1])
 
     def theory(self, s: float) -> Steady:
         """Steady flow through a straight, level metre of the bore there."""
@@ -195,6 +273,11 @@ class PartScene(Parametrised, PartSettings):
 
     def friction(self, begin: float, end: float) -> float:
         """Pressure that theory has lost between two arc lengths, as if each bore were a straight pipe's [Pa]."""
+        inner = [place for place in self.bores.places if begin < place < end] if self.wall is None else []
+        return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
+
+    def _friction(self, begin: float, end: float) -> float:
+        """Of a piece whose bore changes evenly, or is measured."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:

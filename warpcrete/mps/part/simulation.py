@@ -8,6 +8,7 @@ from typing import Any
 from ...core.errors import InstabilityError
 from ...core.method import results_of
 from ...core.provenance import arrays_hash, provenance
+from ...core.run import Table
 from ...core.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
@@ -15,7 +16,7 @@ from ..grid.state import GridState, check_memory
 from ..run import FlowRun
 from .display import PartDisplay
 from .layout import part_layout, part_room
-from .probes import UNITS, loss_along, measured
+from .probes import UNITS, loss_along, losses, measured, stations_of
 from .quantities import QUANTITIES, Known
 from .scene import PartScene
 
@@ -89,6 +90,7 @@ class PartSimulation(FlowRun):
             "rise": quantity(scene.rise, "m"),
             "flow": quantity(scene.flow, "m3/s"),
         }
+        tables: dict[str, Table] = {}
         if len(rows) > 1:
             result |= results_of(QUANTITIES, Known(scene, series))
             s, pressure = loss_along(flow)
@@ -96,7 +98,18 @@ class PartSimulation(FlowRun):
                 "place": {"value": s.tolist(), "unit": "m"},
                 "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},
             }
+            tables["stations"] = stations_of(scene, s, pressure)
+            result["parts"] = [
+                {
+                    "what": section.label,
+                    "begin": quantity(section.begin, "m"),
+                    "end": quantity(section.end, "m"),
+                    "loss": quantity(loss, "Pa"),
+                    "loss_theory": quantity(scene.friction(section.begin, section.end), "Pa"),
+                }
+                for section, loss in zip(scene.sections, losses(scene, s, pressure), strict=True)
+            ]
         result["speed"] = self.speed()
         result["state_hash"] = arrays_hash(flow.state_arrays())
         result["provenance"] = provenance(self.device, self.precision, scene.seed)
-        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
+        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished, tables=tables)

@@ -1,0 +1,214 @@
+"""A line of several parts as one flow: the bits of the unit that it is, what each part loses, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from warpcrete import SceneError, load, scenes
+from warpcrete.cli.main import cli
+from warpcrete.core.units import number
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.one_pipe import joined
+from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.part.layout import Frame, bore_distance, part_room
+from warpcrete.mps.part.probes import losses
+from warpcrete.mps.part.simulation import PartSimulation
+from warpcrete.scenes import modules
+from warpcrete.studies.line_run import run_line
+from warpcrete.studies.lines import read_line
+
+COARSE = {"concrete": "no1", "spacing": 0.0125}
+TWO_PLANES = """
+diameter: 125 mm
+flow: 19.8 m3/h
+concrete: no1
+parts:
+  - straight: 0.5 m
+  - bend: {to: left, radius: 0.3 m}
+  - straight: 0.5 m
+  - bend: {to: up, radius: 0.3 m}
+  - straight: 0.5 m
+"""
+
+
+def written(folder, parts, diameter=0.1, more=""):
+    path = folder / "site.yaml"
+    path.write_text(f"diameter: {diameter}\n{more}parts: {parts}\n")
+    return str(path)
+
+
+UNITS = {
+    "straight": ("[{straight: 0.4}]", dict(unit="horizontal")),
+    "two straights": ("[{straight: 0.15}, {straight: 0.25}]", dict(unit="horizontal")),
+    "bend": ("[{straight: 0.2}, {bend: {to: left, radius: 0.25}}, {straight: 0.2}]", dict(unit="bend-level")),
+    "reducer": (
+        "[{straight: 0.2}, {reducer: {to: 0.08, length: 0.2}}, {straight: 0.2}]",
+        dict(unit="horizontal", outlet_diameter=0.08, taper=0.2),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_a_line_is_the_unit_that_it_is(device, tmp_path, kind):
+    """The same cells and bits, and all that is measured."""
+    parts, unit = UNITS[kind]
+    settings = COARSE | {"duration": 0.06, "steadiness": 1e-12}
+    line, known = (
+        PartSimulation(scenes.part(**settings, **more), device=device).run()
+        for more in ({"line": written(tmp_path, parts)}, unit | {"straight": 0.2})
+    )
+    assert line.result["state_hash"] == known.result["state_hash"]
+    for name in ("pressure", "upstream_gradient", "downstream_gradient", "pressure_theory", "middle_loss"):
+        if name in known.result:
+            assert line[name] == pytest.approx(known[name], rel=1e-12), name
+    told = [number(part["loss"]) for part in line.result["parts"]]
+    assert sum(told) == pytest.approx(line["pressure"], rel=1e-2)  # the last line is not 0 at the end: 0.6 %
+    if kind in ("bend", "reducer"):
+        assert [part["loss"] for part in line.result["parts"]] == [part["loss"] for part in known.result["parts"]]
+        assert told[1] == pytest.approx(known["middle_loss"], rel=1e-9)
+        assert told[0] == pytest.approx(0.2 * known["upstream_gradient"], rel=1e-9)
+    if kind == "two straights":
+        assert told[0] / told[1] == pytest.approx(0.15 / 0.25, rel=1e-9)
+
+
+def test_the_line_of_three_metres_is_the_unit_of_its_lengths(tmp_path):
+    """Bend and reducer with straights between: axis, bores, cells, and where walls are; so its run is the unit's."""
+    parts = ("[{straight: 0.6}, {bend: {to: left, radius: 0.5}}, {straight: 0.6}, "
+             "{reducer: {to: 100 mm, length: 0.4}}, {straight: 0.6}]")  # fmt: skip
+    settings = {"concrete": "no1", "flow": 0.0055, "gravity": 0.0, "spacing": 0.0125, "time_step": 3e-3}
+    line = scenes.part(line=written(tmp_path, parts, "125 mm"), **settings)
+    unit = scenes.part(
+        unit="bend-level", diameter=0.125, elbow_radius=0.5, straight=0.6, outlet_diameter=0.1, taper=0.4, **settings
+    )
+    assert line.axis == unit.axis and part_room(line) == part_room(unit)
+    s = np.linspace(0, line.axis.length, 1000)
+    assert line.bore(s) == pytest.approx(unit.bore(s), rel=1e-12)
+    assert line.middle == pytest.approx(unit.middle, rel=1e-12)
+    places = np.random.default_rng(0).uniform(-1.2, 0, (1000, 3))
+    assert bore_distance(line)(places) == pytest.approx(bore_distance(unit)(places), rel=1e-9)
+
+
+def test_each_part_gets_what_it_loses(tmp_path):
+    """Of a pressure that falls by 20 kPa/m, three times as fast in the bend, twice in the cone right behind it."""
+    parts = ("[{straight: 0.4}, {bend: {to: left, radius: 0.25}}, {reducer: {to: 0.08, length: 0.2}}, "
+             "{straight: 0.2}, {straight: 0.3}]")  # fmt: skip
+    scene = scenes.part(line=written(tmp_path, parts), **COARSE)
+    arc = 0.25 * math.pi / 2
+    assert [section.kind for section in scene.sections] == ["straight", "bend", "reducer", "straight", "straight"]
+    assert scene.middle == pytest.approx((0.4, 0.6 + arc)) and len(scene.axis.pieces) == 3
+    s = np.arange(0.005, scene.axis.length, 0.01)
+    places = np.array([0, 0.4, 0.4 + arc, 0.6 + arc, 1.1 + arc])
+    lost = np.array([20.0, 60.0, 40.0, 20.0]) * np.diff(places)
+    ahead = lost.sum() - np.interp(s, places, np.concatenate([[0], np.cumsum(lost)]))
+    exact = [*lost[:3], 20 * 0.2, 20 * 0.3]
+    assert losses(scene, s, ahead) == pytest.approx(exact, rel=1e-2)  # the mean over a slice, where no straight begins
+    assert losses(scene, s, ahead)[3:] == pytest.approx(exact[3:], rel=1e-9)
+
+
+def test_straight_pieces_in_a_row_are_one():
+    arc = Arc(0.2, 1.0, (0, 0, 1))
+    axis = Axis((0, 0, 0), (1, 0, 0), (Line(0.2), Line(0.3), arc, Line(0.1), Line(0.2), Line(0.4)))
+    pieces = joined(axis).pieces
+    assert pieces[:2] == (Line(0.5), arc) and [piece.length for piece in pieces[2:]] == pytest.approx([0.7])
+    assert joined(axis).at(1.1)[0] == pytest.approx(axis.at(1.1)[0])
+
+
+def test_bends_of_one_plane_are_computed_by_half(tmp_path):
+    """Also where the way out is the way in: an S, which lies in the plane of its bends."""
+    parts = "[{straight: 0.3}, {bend: {to: left, radius: 0.25}}, {bend: {to: right, radius: 0.25}}, {straight: 0.3}]"
+    swung = parts.replace("to: right", "to: up")
+    flat, other = (scenes.part(line=written(tmp_path, each), **COARSE) for each in (parts, swung))
+    assert flat.is_half and not other.is_half and flat.axis.is_plane
+    assert abs(Frame(flat).axes[1, 2]) == pytest.approx(1.0)  # the mirror is level
+    rooms = [part_room(scene) for scene in (flat, other)]
+    assert rooms[0].origin[1] == 0 and rooms[1].origin[1] < -0.05
+    for scene, room in zip((flat, other), rooms):
+        s = np.linspace(0.02, scene.axis.length - 0.02, 100)
+        points, _, normal, side = scene.axis.frame(s)
+        for r, inside in ((0.049, True), (0.051, False)):
+            places = Frame(scene).inward(points + r * (np.cos(3 * s)[:, None] * normal + np.sin(3 * s)[:, None] * side))
+            assert np.array_equal(bore_distance(scene)(places) > 0, np.full(100, inside))
+            places[:, 1] = abs(places[:, 1]) if scene.is_half else places[:, 1]
+            high = np.array(room.origin) + np.array(room.cells) * room.width
+            assert np.all((places > room.origin) & (places < high)) or not inside
+
+
+@pytest.mark.thorough
+def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
+    """What is between is the coarse cells' error on straight friction, which the parts take from finer ones."""
+    path = tmp_path / "site.yaml"
+    path.write_text(TWO_PLANES)
+    whole = PartSimulation(scenes.part(line=str(path), spacing=0.125 / 8, time_step=3e-3), device=device).run()
+    added = run_line(read_line(path), concrete_of("no1"), 19.8 / 3600, cells=8, device=device)
+    assert all(good for good, _ in modules()["part"].check(whole).values())
+    weight = 2400.0 * 0
+    for part, loss in zip(whole.result["parts"], added.losses, strict=True):
+        weight += loss.weight
+        assert part["what"] == loss.part.label
+        assert number(part["loss"]) == pytest.approx(loss.friction, rel=0.035)  # measured 0.3 to 2.8 %
+    assert whole["pressure"] - weight == pytest.approx(added.pressure - weight, rel=0.02)  # 1.3 %
+    table = whole.tables["stations"].columns
+    assert table["pressure"][0] - table["friction_ahead"][0] == pytest.approx(weight, rel=1e-6)
+
+
+def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
+    """And those that are given before them; a run's record repeats it."""
+    given = {"diameter": 0.1, "more": "flow: 9 m3/h\nconcrete: no2\n"}
+    path = written(tmp_path, "[{straight: 0.3}, {straight: 0.1}]", **given)
+    out = str(tmp_path / "run")
+    command = ["run", "part", "--line", path, "--spacing", "0.0125", "--gravity", "0", "--duration", "0.06"]
+    done = CliRunner().invoke(cli, [*command, "--device", "cpu", "--quiet", "--out", out])
+    assert "part 1" in done.output and "part 2" in done.output, done.output
+    run = load(out)
+    assert run.scene.flow == pytest.approx(9 / 3600) and run.scene.concrete.name == "no2"
+    table = run.tables["stations"]
+    assert table.units["pressure"] == "Pa" and np.all(np.diff(table.columns["pressure"]) < 0)
+    assert np.array_equal(table.columns["pressure"], table.columns["friction_ahead"])
+    scene = scenes.part(line=path, flow=1e-3, concrete="no3", spacing=0.0125)
+    assert scene.flow == 1e-3 and scene.concrete.name == "no3"
+    # A run's record has both: the file may say something else by then.
+    written(tmp_path, "[{straight: 0.3}, {straight: 0.1}]", more="flow: 1 m3/h\n")
+    assert scenes.part(**run.scene.parameters).flow == pytest.approx(9 / 3600)
+    elements = scenes.part_dem(line=path, travel=0.05)
+    assert elements.parameters["flow"] == pytest.approx(1 / 3600)
+
+
+@pytest.mark.parametrize(
+    "parts, more, words",
+    [
+        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", {}, "must begin and end straight: part 1 is a bend; put a"),
+        ("[{straight: 1}, {hose: {points: [[1, 0, 0]]}}]", {}, "must begin and end straight: part 2 is a hose"),
+        ("[{straight: 0.05}, {bend: {to: up, radius: 0.2}}, {straight: 1}]", {}, "^straight = 0.05: is too short"),
+        ("[{straight: 1}, {hose: {points: [[1, 0, 0]], layer: 0.8}}, {straight: 1}]", {},
+         r"^part 2, hose: layer = 0\.8: is not that of the pipe, and a flow has one layer; leave it out"),
+        ("[{straight: 0.3}, {bend: {to: left, radius: 0.055}}, {bend: {to: left, radius: 0.055}}, {straight: 0.2}, "
+         "{bend: {to: down, radius: 0.2}}, {straight: 0.3}]", {},
+         r"^parts = \[1, 4\]: come within 0\.03\d* m of each other; lead it another way, or take a smaller spacing"),
+        ("[{straight: 1}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.3}]", {},
+         "comes back past the plane in which it ends"),
+        ("[{straight: 0.3}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.6}, "
+         "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "comes back past the plane in which it begins"),
+        ("[{straight: 1}, {reducer: {to: 0.05, length: 0.2}}, {straight: 1}]", {},
+         r"^spacing = 0\.0125: must leave 6 cells across the narrowest bore, 0\.05 m; take 0\.00833"),
+        ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: means nothing unless line is not given"),
+        ("[{straight: 1}]", {"wall": "x.stl"}, r"^wall = 'x\.stl': means nothing unless line is not given"),
+        ("[{straight: 1}]", {"slip_thickness": 0.06, "slip_viscosity": 900.0}, "^slip_thickness = 0.06"),
+    ],
+)  # fmt: skip
+def test_lines_that_are_no_one_flow_are_refused_in_one_line(tmp_path, parts, more, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        scenes.part(line=written(tmp_path, parts), **COARSE | more)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_hose_is_one_part_of_a_flow(tmp_path):
+    """Its arcs are the axis', it is told as a whole, and theory has it as straight pipe of its length."""
+    parts = "[{straight: 0.3}, {hose: {points: [[0.5, 0, 0], [1.0, 0.2, 0], [1.5, 0.3, 0.2]]}}, {straight: 0.3}]"
+    scene = scenes.part(line=written(tmp_path, parts), **COARSE)
+    line = read_line(tmp_path / "site.yaml")
+    assert [section.kind for section in scene.sections] == ["straight", "hose", "straight"]
+    assert scene.sections[1].end - scene.sections[1].begin == pytest.approx(line.parts[1].length)
+    assert scene.friction(0, scene.axis.length) == pytest.approx(scene.theory(0.0).pressure * scene.axis.length)
+    assert not scene.is_half

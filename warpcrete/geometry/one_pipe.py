@@ -1,0 +1,69 @@
+"""A line as one pipe: what its file says of a run, where it is no straight pipe, and where it may not lead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..core.amounts import amount
+from ..core.errors import refuse
+from .axis import Axis, Line
+from .bores import Bores
+from .lines import PipeLine, line_file
+
+
+def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Flow [m3/s] and concrete that the file of the `line` among a scene's parameters has; nothing without one, or
+    where both are given, as in a run's record.
+    """
+    if values.get("line") is None or ("flow" in values and "concrete" in values):
+        return {}
+    given, _ = line_file(values["line"])
+    found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
+    return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
+
+
+def ends(line: PipeLine) -> np.ndarray:
+    """Arc lengths at which its parts begin, and at which it ends, shape (parts + 1,) [m]."""
+    return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+
+
+def check_straight_ends(line: PipeLine, name: Any) -> None:
+    """Refuse a line, given by this `name`, that does not begin and end with a straight part."""
+    for place in (0, -1):
+        if line.parts[place].kind != "straight":
+            refuse("line", name, f"must begin and end straight: part {line.parts[place].number} is a "
+                   f"{line.parts[place].kind}", "put a straight part there")  # fmt: skip
+
+
+def joined(axis: Axis) -> Axis:
+    """The same axis with its straight pieces in a row as one."""
+    pieces = list(axis.pieces[:1])
+    for piece in axis.pieces[1:]:
+        if isinstance(piece, Line) and isinstance(pieces[-1], Line):
+            pieces[-1] = Line(pieces[-1].length + piece.length)
+        else:
+            pieces.append(piece)
+    return replace(axis, pieces=tuple(pieces))
+
+
+def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
+    """Refuse a pipe that comes back past the plane across it at the arc length `begin` [m], as far as it is less than
+    `aside` [m] beside the axis there, or past the endless plane across its end.
+    """
+    s = np.linspace(0, axis.length, 400)
+    points, tangents = axis.at(s)
+    start = axis.at(begin)[0]
+    reach = bores.largest
+    ahead = (points - start) @ tangents[0]
+    beside = np.linalg.norm(points - start - ahead[:, None] * tangents[0], axis=1) < aside + reach
+    if np.any(ahead[(s > begin + 2 * reach) & beside] < reach):
+        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it begins",
+               "cut it, or turn it less")  # fmt: skip
+    behind = (points[-1] - points) @ tangents[-1]
+    if np.any(behind[s < axis.length - 2 * reach] < reach):
+        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it ends", "cut it, or turn it less")
