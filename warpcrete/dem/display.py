@@ -24,7 +24,7 @@ from ..core.display import (
 from ..core.paint import Paint, on_palette, rounded_up
 from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_of, listed_forces, pairs_of
-from .stations import COLUMNS
+from .stations import COLUMNS, Seen, seen_of, stresses
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
@@ -60,6 +60,8 @@ class ElementDisplay(Display):
         self._patches: dict[int, np.ndarray] = {}
         """Patch of each vertex of a worn wall, by the wall's number."""
         self._worn_most = 0.0
+        self._along: tuple[float, np.ndarray] | None = None
+        """Time, and what stations measured then."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
@@ -156,18 +158,26 @@ class ElementDisplay(Display):
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
-        """Middles of the slices that are full [m] and what they bear [kPa], as of the last row of the series: to
-        measure for each frame besides would cost the run, and a row is a hundredth of a second old at most by default.
-        """
-        stations, last = self.simulation.scene.stations, self.once("stations", self._last_stations)
-        values = last[:, COLUMNS.index(column)]
+        """Middles of the slices that are full [m] and what they bear [kPa]."""
+        stations = self.simulation.scene.stations
+        if self._along is None or self._along[0] != self.time:  # all curves of a frame by one measurement
+            last = self.once("stations", self._last_stations)
+            self._along = self.time, stresses(stations, *last) if isinstance(last, tuple) else last
+        values = self._along[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
-    def _last_stations(self) -> np.ndarray:
-        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
-        if sampler is None or not sampler.log.samples:
-            return np.full((len(self.simulation.scene.stations.places), len(COLUMNS)), np.nan)
+    def _last_stations(self) -> np.ndarray | tuple[Seen, float]:
+        """What stations measured in the last row of the series, which is a hundredth of a second old at most by
+        default, shape (slices, COLUMNS); where rows do not have it, what to measure it by, and the piston's travel [m].
+        """
+        simulation = self.simulation
+        stations, sampler = simulation.scene.stations, getattr(simulation, "sampler", None)
+        if sampler is not None and not stations.each_row:
+            travel = sampler.rows[-1].get("travel", 0.0) if sampler.rows else 0.0
+            return seen_of(simulation.model, simulation.state), travel
+        if sampler is None or not sampler.log.samples:  # before t = 0
+            return np.full((len(stations.places), len(COLUMNS)), np.nan)
         return sampler.log.samples[-1]  # no row is written to again
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
