@@ -12,19 +12,21 @@ STEPS, A_DECADE = 1536, 128
 """Of the values that paint tells apart, in all and from one to ten times it."""
 LEAST = 1e-6
 """The smallest of them, as read; what is less is shown as nothing."""
+COLOURS = 256
+"""Of a palette."""
 
 
 def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
     """RGB bytes (n, 3) of values from `lower` to `upper`, on a map of matplotlib's, the perceptually even viridis."""
     scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
-    return _palette(name)[(255 * scaled).astype(int)]
+    return _palette(name)[((COLOURS - 1) * scaled).astype(int)]
 
 
 @functools.cache
 def _palette(name: str) -> np.ndarray:
     from matplotlib import colormaps
 
-    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)
+    return (255 * colormaps[name](np.arange(COLOURS))[:, :3]).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,13 @@ class Paint:
         values[0] = 0.0
         return on_palette(values, self.upper if self.upper > 0 else np.inf, name=self.palette)
 
-
-def steps_of(values: np.ndarray) -> np.ndarray:
-    """The nearest step of each value as read, shape as `values`."""
-    place = A_DECADE * np.log10(np.maximum(values, LEAST) / LEAST)
-    return np.clip(np.rint(place), 0, STEPS - 1).astype(np.int32)
+    def steps(self, values: np.ndarray) -> np.ndarray:
+        """The nearest step of each value as read, shape as `values`; of all that have the first colour, on this scale
+        and on every larger one, the same: between corners whose steps lie far apart pictures show what neither has.
+        """
+        least = max(LEAST, self.upper / COLOURS)
+        place = A_DECADE * np.log10(np.maximum(values, least) / LEAST)
+        return np.clip(np.rint(place), 0, STEPS - 1).astype(np.int32)
 
 
 def rounded_up(value: float) -> float:

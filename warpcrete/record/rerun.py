@@ -18,7 +18,7 @@ from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
 from ..core.files import cannot_write
 from ..core.later import Later
-from ..core.paint import STEPS, Paint, steps_of
+from ..core.paint import STEPS, Paint
 from ..core.run_loop import Recorder, Run, Simulation
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .legend import legend, paint_legend
@@ -134,7 +134,7 @@ class RerunRecorder(Recorder):
             if (values := display.wall_values(number)) is None:
                 continue
             places = np.full((len(values), 2), 0.5, np.float32)
-            places[:, 0] = (MARGIN + steps_of(values) + 0.5) / (MARGIN + STEPS)
+            places[:, 0] = (MARGIN + paint.steps(values) + 0.5) / (MARGIN + STEPS)
             paths = [f"scene/walls/{wall}"] + [f"{CUT}/{wall}"] * (wall in self._cut)
             for path in paths:
                 self._log(path, self._rr.Mesh3D.from_fields(vertex_texcoords=places))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.display import Display, DrawnWall
-from ..core.paint import Paint, steps_of
+from ..core.paint import Paint
 from .legend import meaning, paint_meaning
 
 LOOKS = "/Run/Looks"
@@ -169,4 +169,4 @@ class Painted:
             self._prim.SetDocumentation(paint_meaning(paint))
             scale = {"quantity": paint.label, "lower": 0.0, "upper": float(paint.upper), "palette": paint.palette}
             self._prim.SetCustomDataByKey("colours", scale)
-        self._primvar.SetIndices(Vt.IntArray.FromNumpy(steps_of(values)), code)
+        self._primvar.SetIndices(Vt.IntArray.FromNumpy(paint.steps(values)), code)
