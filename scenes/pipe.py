@@ -29,9 +29,11 @@ from warpcrete.dem.scene import (
     Published,
     Rest,
     Scene,
+    Stations,
 )
 from warpcrete.dem.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.meshes import Bore, bore_probes, check_pipe, enclosed, load
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed, Wall
 
@@ -51,6 +53,8 @@ LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
 LAST_OF_PAUSE = 0.05
 """Part of the last pause that is left when the rest is put in."""
+SLICES = 2.0
+"""Per diameter, in which recordings show the stress along a round pipe."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -95,6 +99,7 @@ def scene(parameters: PipeParameters) -> Scene:
             stops=given.stops,
         ),
         rest=_rest(given),
+        stations=_stations(given, axis) if bore is None else None,
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         parameters=asdict(given),
@@ -206,6 +211,13 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
     mesh = load(given.wall, "wall", given.wall_scale)
     check_pipe(mesh, "wall", given.wall, axis, given.radius, length)
     return MeshWall(name="pipe", vertices=mesh.vertices, faces=mesh.faces)
+
+
+def _stations(given: PipeParameters, axis: Axis) -> Stations:
+    """Slices half as long as wide, from where the piston begins to where it has pushed the concrete."""
+    end = given.length + given.distance
+    edges = np.linspace(0, end, 1 + max(1, round(SLICES * end / given.diameter)))
+    return Stations(axis=axis, bores=Bores((0.0,), (given.radius,)), edges=tuple(edges.tolist()), each_row=False)
 
 
 def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:

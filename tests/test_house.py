@@ -1,12 +1,16 @@
 """The house rules: import directions, packaging, what a step may do, what errors say."""
 
 import ast
+import re
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+
+from warpcrete.cli import cli
 
 ROOT = Path(__file__).parent.parent
 METHODS = sorted(path.parent.name for path in (ROOT / "warpcrete").glob("*/method.py") if path.parent.name != "core")
@@ -153,9 +157,22 @@ def test_heavy_packages_load_only_when_used():
 def test_public_names_exist():
     import warpcrete
 
-    assert len(warpcrete.__all__) <= 14
+    assert len([name for name in warpcrete.__all__ if not name.startswith("__")]) <= 14
     for name in warpcrete.__all__:
         assert getattr(warpcrete, name) is not None
+
+
+def test_one_version_is_told_everywhere():
+    import importlib.metadata
+
+    import warpcrete
+
+    told = CliRunner().invoke(cli, ["--version"]).output
+    assert warpcrete.__version__ == importlib.metadata.version("warpcrete") == told.split()[-1]
+    assert "__version__" in dir(warpcrete)
+    written = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M)
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.M)
+    assert written[1] == cited[1]
 
 
 def test_wheel_holds_the_package_and_nothing_else(tmp_path):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from pumping import SMALL
 from test_recordings import columns
 
@@ -15,6 +16,7 @@ from warpcrete.core.frames import LEAST, SLOWEST, Frames
 from warpcrete.core.later import Later
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.probes import largest_forces, pair_forces
+from warpcrete.geometry.axis import Axis, Line
 from warpcrete.record.blueprint import behind, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning
 from warpcrete.record.rerun import RerunRecorder
@@ -197,6 +199,37 @@ def test_stress_along_a_column_at_rest_is_what_stands_on_it(tmp_path):
         assert 1e3 * stress == pytest.approx(above, rel=0.02)  # measured 1.4 %: stones are counted by their centres
     last = simulation.sampler.log.samples[-1]
     assert 1e3 * mean[-1][1] == pytest.approx(last[np.isfinite(last[:, 0]), 0])
+
+
+def test_stress_along_a_pipe_is_shown_where_rows_do_not_have_it(tmp_path):
+    """Of a column at rest likewise; it is measured for recordings only, and changes nothing."""
+    given = dict(concrete="zhan-table1", bonds=False, friction=0.0, wall_friction=0.0, modulus=1e6, settle=2.0,
+                 unit="vertical", diameter=0.08, length=0.32, size_min=12e-3, size_max=20e-3, plug="plate",
+                 plug_pressure=200.0, velocity=1e-3, travel=2e-5, ramp=0.0)  # fmt: skip
+    simulation = Simulation(scenes.pipe(**given), device="cpu", recorders=[RerunRecorder(tmp_path / "run.rrd")])
+    run = simulation.run()
+    assert run.result["state_hash"] == Simulation(scenes.pipe(**given), device="cpu").run().result["state_hash"]
+    assert not run.tables and simulation.sampler.log is None
+    along, mean = (bars(tmp_path / "run.rrd", f"pressure/{name}") for name in ("along_the_pipe", "mean_normal"))
+    assert len(along) == len(mean) == len(run.series["time"])
+    z, mass = simulation.state.bodies.position.numpy()[:, 2], simulation.state.bodies.mass.numpy()
+    for number, ((left, stress), (right, _)) in enumerate(zip(along, mean)):
+        place = 0.5 * (left + right)
+        slices = np.arange(8)[number > 0 :][: len(place)]  # the piston is past the edge of the first
+        assert place == pytest.approx(0.04 * slices + 0.02, abs=1e-4) and len(place) >= 6
+        above = [200 + 9.81 * mass[z > s].sum() / (np.pi * 0.04**2) for s in place]
+        assert 1e3 * stress == pytest.approx(above, rel=0.02)  # measured 1.6 %
+
+
+def test_a_pipe_that_is_not_round_has_no_stress_along_it(tmp_path):
+    """Slices of it have volumes that nobody knows."""
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.5),))
+    vertices, faces = axis.tube(0.043, 6)
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "hexagon.stl")
+    round_, odd = (
+        scenes.pipe(**SMALL | dict(unit="vertical", wall=wall)) for wall in ("mesh", str(tmp_path / "hexagon.stl"))
+    )
+    assert odd.stations is None and round_.stations is not None and not round_.stations.each_row
 
 
 def test_pressure_along_an_upright_part_is_weight_and_friction(tmp_path):

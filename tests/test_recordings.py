@@ -119,6 +119,31 @@ def test_usd_puts_every_sphere_where_it_is(recorded):
         assert np.array(places) == pytest.approx(kept.centres[number], abs=2e-5)
 
 
+def test_usd_reads_the_same_by_a_program_that_has_nothing_of_pixar_s(recorded):
+    """LightUSD, with readers of its own: bodies, their sizes and colours, turns, walls."""
+    lightusd = pytest.importorskip("lightusd")
+    from pxr import Usd, UsdGeom
+
+    folder, kept = recorded
+    stage = lightusd.load(str(folder / "scene.usdc"))
+    bodies = stage.prim_at("/Run/Aggregates")
+    assert np.asarray(bodies["scales"])[:, 0] == pytest.approx(kept.tables[0].size)
+    assert np.array_equal(np.asarray(bodies["protoIndices"]), kept.tables[0].template)
+    pixar = Usd.Stage.Open(str(folder / "scene.usdc"))
+    primvar = UsdGeom.PrimvarsAPI(pixar.GetPrimAtPath("/Run/Aggregates")).GetPrimvar("displayColor")
+    table, colour = (bodies.attribute(f"primvars:displayColor{end}") for end in ("", ":indices"))
+    for time, expected in zip(kept.times, kept.tables, strict=True):
+        code = 1000 * time
+        assert np.asarray(bodies.attribute("positions").get(time=code)) == pytest.approx(expected.position, abs=1e-7)
+        turned = np.roll(
+            np.asarray(bodies.attribute("orientations").get(time=code)).astype(float), -1, axis=1
+        )  # w first
+        assert np.abs(np.sum(turned * expected.orientation, axis=1)) == pytest.approx(1, abs=2e-3)
+        found = np.asarray(table.get())[np.asarray(colour.get(time=code))]
+        assert found == pytest.approx(np.array(primvar.ComputeFlattened(code)), abs=1e-6) and np.ptp(found) > 0.01
+    assert np.asarray(stage.prim_at("/Run/Walls/paddle")["points"]).shape[1] == 3
+
+
 def test_usd_moves_walls_as_they_move(recorded):
     from pxr import Usd, UsdGeom
 

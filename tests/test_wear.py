@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from pumping import SMALL, command, small_options
 from test_checkpoint import mixed_scene
+from test_recordings import columns
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.files import read_json
+from warpcrete.core.paint import Paint, on_palette, rounded_up
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
@@ -17,6 +19,9 @@ from warpcrete.dem.wear import PipePatches
 from warpcrete.dem.worn import covered
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
+from warpcrete.record.usd_looks import linear
 
 FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 MESH = MeshWall(
@@ -204,9 +209,108 @@ def test_the_command_draws_and_paints_it(tmp_path):
     stage = Usd.Stage.Open(str(out / "scene.usdc"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Walls/pipe"))
     colour = mesh.GetDisplayColorPrimvar()
-    first, last = (np.array(colour.Get(code)) for code in (0, colour.GetTimeSamples()[-1]))
+    codes = colour.GetIndicesAttr().GetTimeSamples()
+    first, last = (np.array(colour.ComputeFlattened(code)) for code in (codes[0], codes[-1]))
     assert len(last) == len(mesh.GetPointsAttr().Get()) and colour.GetInterpolation() == "vertex"
     assert np.ptp(first, axis=0).max() == 0 and np.ptp(last, axis=0).max() > 0.3
+
+
+class Depths(Recorder):
+    """Worn depth [nm] of the patches of the pipe at every frame."""
+
+    def __init__(self):
+        self.found = []
+
+    def frame(self, simulation):
+        self.found.append(1e9 * simulation.sampler.wear.walls[0].depth)
+
+
+class Half(Recorder):
+    def sample(self, simulation, row):
+        simulation.stop_requested = len(simulation.rows) == 6
+
+
+@pytest.fixture(scope="module", params=["whole", "resumed"])
+def painted(request, tmp_path_factory):
+    folder, depths = tmp_path_factory.mktemp("painted"), Depths()
+
+    def simulation(checkpoint, *more):
+        recorders = [depths, RerunRecorder(folder / "run.rrd"), UsdRecorder(folder / "scene.usdc"), *more]
+        return Simulation(thrown(), device="cpu", recorders=recorders, checkpoint_path=checkpoint)
+
+    if request.param == "whole":
+        run = simulation(None).run()
+    else:
+        assert not simulation(folder / "checkpoint.npz", Half()).run().finished
+        second = simulation(None)
+        second.resume(folder / "checkpoint.npz")
+        run = second.run()
+    found = np.array(depths.found)
+    patch = run.wear.walls[0].patches.surface()[2]
+    ends = [rounded_up(np.quantile(each[each > 0], 0.99)) for each in found if each.any()]
+    assert len(set(ends)) > 2, "the scale grows on the way"
+    return folder, found[:, patch], max(ends)
+
+
+def statics(path, entity, name):
+    """Values of what does not change with time of an entity of a recording, in the order in which they were logged."""
+    from rerun.chunk import RrdReader
+
+    found = []
+    for chunk in RrdReader(str(path)).stream().to_chunks():
+        if str(chunk.entity_path) == entity and chunk.is_static:
+            batch = chunk.to_record_batch()
+            row = next(column for column in batch.schema.names if "RowId" in column)
+            for column in (each for each in batch.schema.names if name in each):
+                found += zip(batch.column(row).to_pylist(), batch.column(column).to_pylist())
+    return [value for _, value in sorted(found) if value]
+
+
+def on_scale(depth, upper):
+    """Colours that a scale from 0 has, 0 to 255, and what they are off by for steps of 2 %, measured."""
+    return on_palette(depth, upper, name="magma_r").astype(float), 7.0
+
+
+def test_a_recording_has_one_scale_of_wear_for_all_frames(painted):
+    """Also the frames that were written before the wear grew as far; and the half of the pipe that the cut shows."""
+    folder, depths, upper = painted
+    for path in ("/scene/walls/pipe", "/scene/cut/pipe"):
+        textures = statics(folder / "run.rrd", path, "albedo_texture_buffer")
+        colours = np.array(textures[-1], np.uint8).reshape(-1, 3)
+        (places,) = [v for name, v in columns(folder / "run.rrd", path).items() if "texcoords" in name]
+        assert len(places) == len(depths) > 5
+        for depth, place in zip(depths, places):
+            texel = (np.array(place)[:, 0] * len(colours)).astype(int)
+            expected, off = on_scale(depth, upper)
+            assert np.abs(colours[texel] - expected).max() <= off
+    assert statics(folder / "run.rrd", "/legend_of_walls", "blob")
+
+
+def test_usd_has_one_scale_of_wear_and_says_it(painted):
+    from pxr import Usd, UsdGeom
+
+    folder, depths, upper = painted
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Run/Walls/pipe"))
+    scale = mesh.GetPrim().GetCustomDataByKey("colours")
+    assert scale == {"quantity": "worn depth [nm]", "lower": 0.0, "upper": upper, "palette": "magma_r"}
+    assert f"worn depth [nm] from 0 to {upper:.3g} and above" in mesh.GetPrim().GetDocumentation()
+    colour = mesh.GetDisplayColorPrimvar()
+    for depth, code in zip(depths, colour.GetIndicesAttr().GetTimeSamples(), strict=True):
+        screen = np.interp(np.array(colour.ComputeFlattened(code)), linear(np.arange(256)), np.arange(256))
+        expected, off = on_scale(depth, upper)
+        assert np.abs(screen - expected).max() <= off
+
+
+def test_paint_tells_values_apart_and_ends_on_round_numbers():
+    values = np.geomspace(1e-3, 1e5, 5000)
+    paint = Paint("worn depth [nm]", "magma_r", 50.0)
+    steps = paint.steps(values)
+    assert np.ptp(paint.steps(np.array([0.0, 1e-12, 0.19]))) == 0 and np.all(np.diff(steps) >= 0)
+    off = np.abs(paint.colours()[steps].astype(int) - on_palette(values, 50.0, name="magma_r").astype(int))
+    assert off.max() <= 7 and np.array_equal(paint.colours()[0], on_palette(np.zeros(1), 1.0, name="magma_r")[0])
+    assert [rounded_up(x) for x in (0.011, 0.02, 0.3, 1.0, 5.1, 700)] == pytest.approx([0.02, 0.02, 0.5, 1, 10, 1000])
+    assert np.all(Paint("worn depth [nm]", "magma_r", 0.0).colours() == paint.colours()[0])
 
 
 def test_wear_is_refused_with_nonsense():

@@ -20,6 +20,7 @@ from .core.errors import (
 )
 
 if TYPE_CHECKING:
+    __version__: str
     from . import scenes
     from .dem.scene import Scene
     from .methods import Simulation
@@ -39,6 +40,7 @@ __all__ = [
     "SceneError",
     "Simulation",
     "WarpcreteError",
+    "__version__",
     "calibrate",
     "explain",
     "load",
@@ -64,6 +66,8 @@ def __getattr__(name: str) -> Any:
         return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
     if name == "scenes":
         return importlib.import_module(".scenes", __name__)
+    if name == "__version__":
+        return importlib.import_module(".core.version", __name__).version_of("warpcrete")
     if name == "FluidSimulation":  # its name before Simulation took every scene
         return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 from .errors import one_of
 from .later import Later
 from .moments import Moment, moment_of, on_host
+from .paint import Paint
 
 Colour = tuple[int, int, int, int]
 """Red, green, blue and opacity, 0 to 255."""
@@ -235,8 +235,12 @@ class Display(ABC):
     direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
     """From what there is to see to the eye."""
 
-    def wall_colours(self, number: int) -> np.ndarray | None:
-        """RGB bytes (v, 3) of the vertices of a drawn wall now; None where it has one colour throughout."""
+    def paint(self) -> Paint | None:
+        """Colours of painted walls, on a scale that only grows; None where no wall is painted."""
+        return None
+
+    def wall_values(self, number: int) -> np.ndarray | None:
+        """Of the vertices of a drawn wall (v,) what :meth:`paint` shows, as read; None where it has one colour."""
         return None
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -273,16 +277,3 @@ class Display(ABC):
         centre = 0.5 * (lower + upper)
         size = max(float(np.linalg.norm(upper - lower)), 0.1)
         return centre + distance * size * np.array(self.direction), centre
-
-
-def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
-    """RGB bytes (n, 3) of values from `lower` to `upper`, on a map of matplotlib's, the perceptually even viridis."""
-    scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
-    return _palette(name)[(255 * scaled).astype(int)]
-
-
-@functools.cache
-def _palette(name: str) -> np.ndarray:
-    from matplotlib import colormaps
-
-    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)

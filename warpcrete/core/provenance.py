@@ -7,12 +7,13 @@ import functools
 import hashlib
 import platform
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
+
+from .version import version_of
 
 
 def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
@@ -33,15 +34,7 @@ def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Of the packages that compute."""
-    return {"warpcrete": _version("warpcrete"), "warp": _version("warp-lang")}
-
-
-@functools.cache
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "source tree, not installed"
+    return {"warpcrete": version_of("warpcrete"), "warp": version_of("warp-lang")}
 
 
 @functools.cache

@@ -20,17 +20,20 @@ from ..core.display import (
     Profile,
     Prototype,
     RigidBodies,
-    on_palette,
 )
+from ..core.paint import Paint, on_palette, rounded_up
 from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_forces, listed_forces, pairs_of
-from .stations import COLUMNS
+from .stations import COLUMNS, Seen, seen_of, stresses
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
 """Over the colours of wear: stones are to be seen through it a little."""
 WEAR_PALETTE = "magma_r"
 """Another one than that of stones; pale where nothing is worn."""
+NANOMETRES = 1e9
+SHOWN = 0.99
+"""Part of a wall's worn patches that the scale of their depth takes in: single ones are worn a few times as deep."""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
@@ -56,6 +59,9 @@ class ElementDisplay(Display):
         self._upper = self._limit()
         self._patches: dict[int, np.ndarray] = {}
         """Patch of each vertex of a worn wall, by the wall's number."""
+        self._worn_most = 0.0
+        self._along: tuple[float, np.ndarray] | None = None
+        """Time, and what stations measured then."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
@@ -152,18 +158,26 @@ class ElementDisplay(Display):
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
-        """Middles of the slices that are full [m] and what they bear [kPa], as of the last row of the series: to
-        measure for each frame besides would cost the run, and a row is a hundredth of a second old at most by default.
-        """
-        stations, last = self.simulation.scene.stations, self.once("stations", self._last_stations)
-        values = last[:, COLUMNS.index(column)]
+        """Middles of the slices that are full [m] and what they bear [kPa]."""
+        stations = self.simulation.scene.stations
+        if self._along is None or self._along[0] != self.time:  # all curves of a frame by one measurement
+            last = self.once("stations", self._last_stations)
+            self._along = self.time, stresses(stations, *last) if isinstance(last, tuple) else last
+        values = self._along[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
-    def _last_stations(self) -> np.ndarray:
-        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
-        if sampler is None or not sampler.log.samples:
-            return np.full((len(self.simulation.scene.stations.places), len(COLUMNS)), np.nan)
+    def _last_stations(self) -> np.ndarray | tuple[Seen, float]:
+        """What stations measured in the last row of the series, which is a hundredth of a second old at most by
+        default, shape (slices, COLUMNS); where rows do not have it, what to measure it by, and the piston's travel [m].
+        """
+        simulation = self.simulation
+        stations, sampler = simulation.scene.stations, getattr(simulation, "sampler", None)
+        if sampler is not None and not stations.each_row:
+            travel = sampler.rows[-1].get("travel", 0.0) if sampler.rows else 0.0
+            return seen_of(simulation.model, simulation.state), travel
+        if sampler is None or not sampler.log.samples:  # before t = 0
+            return np.full((len(stations.places), len(COLUMNS)), np.nan)
         return sampler.log.samples[-1]  # no row is written to again
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
@@ -203,15 +217,28 @@ class ElementDisplay(Display):
             return None
         return sampler.wear.walls[number]
 
-    def wall_colours(self, number: int) -> np.ndarray | None:
-        """Of walls that wear: depth over that of the hundredth of the patches that is worn most."""
-        worn = self._worn(number := self._drawn[number])
-        if worn is None:
+    def paint(self) -> Paint | None:
+        """Worn depth, up to a round number over that of all but the hundredth of the worn patches that is worn most."""
+        depths = [depth for number in self._drawn if (depth := self._depth(number)) is not None]
+        if not depths:
             return None
-        depth = self.once(f"wear of {number}", lambda: worn.depth)
+        most = [float(np.quantile(depth[depth > 0], SHOWN)) for depth in depths if depth.any()]
+        self._worn_most = max(self._worn_most, *most, 0.0)
+        return Paint("worn depth [nm]", WEAR_PALETTE, rounded_up(self._worn_most) if self._worn_most > 0 else 0.0)
+
+    def _depth(self, number: int) -> np.ndarray | None:
+        """Worn depth of each patch of a wall [nm]; None of a wall that does not wear."""
+        worn = self._worn(number)
+        return None if worn is None else NANOMETRES * self.once(f"wear of {number}", lambda: worn.depth)
+
+    def wall_values(self, number: int) -> np.ndarray | None:
+        """Of a wall that wears, the depth [nm] at its vertices."""
+        depth = self._depth(number := self._drawn[number])
+        if depth is None:
+            return None
         if number not in self._patches:
-            self._patches[number] = worn.patches.surface()[2]
-        return on_palette(depth, float(np.quantile(depth, 0.99)), name=WEAR_PALETTE)[self._patches[number]]
+            self._patches[number] = self._worn(number).patches.surface()[2]
+        return depth[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""

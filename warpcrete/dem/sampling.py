@@ -78,8 +78,8 @@ class Sampler:
         self.model, self.state = model, state
         self.rows: list[dict[str, float]] = []
         stations = model.scene.stations
-        self.log = StationLog(stations) if stations is not None else None
-        """What is measured along the pipe, where the scene asks for it."""
+        self.log = StationLog(stations) if stations is not None and stations.each_row else None
+        """What is measured along the pipe, where the scene asks for it in every row."""
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0

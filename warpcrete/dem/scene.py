@@ -392,7 +392,7 @@ class Scene(Parametrised):
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
     stations: Stations | None = None
-    """Where stresses, solid fraction and velocities along a pipe are measured at every sample."""
+    """Where stresses, solid fraction and velocities along a pipe are measured."""
     published: Published | None = None
     remarks: tuple[str, ...] = ()
     """What the scene simplifies, to be told before a run."""

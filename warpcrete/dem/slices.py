@@ -29,6 +29,8 @@ class Stations:
     """Arc length from which places are told [m]."""
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is no straight one; None: it is, all along [m]."""
+    each_row: bool = True
+    """Measured with every row of the series; else only where a recording draws it."""
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):

@@ -8,9 +8,10 @@ of a contact that reaches from one slice into the next each gets its part of the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..geometry.axis import Axis
 from ..kernels.common.types import types
 from ..kernels.dem.stations import force_probe
 from .model import Model
-from .probes import listed_pairs
+from .probes import chunks_of, pairs_of
 from .slices import FEWEST, Stations
 from .state import State
 
@@ -33,6 +34,9 @@ PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
+SEEN = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
+        "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
+"""Arrays of a state that it takes to measure, besides forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
 """Of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the one along the pipe,
@@ -64,16 +68,14 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     """Columns of all slices now, shape (slices, COLUMNS); NaN in those that concrete does not fill."""
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
-    spheres = _Spheres(model, state, axis)
+    seen = seen_of(model, state)
+    spheres = _Spheres(seen, axis)
     if not np.any(spheres.solid):
         return found
-    order = np.argsort(spheres.s, kind="stable")
-    total = np.cumsum(spheres.share[order])
-    front = spheres.s[order][np.searchsorted(total, FRONT * total[-1])]
-    full = (edges[:-1] >= travel) & (edges[1:] <= front)
+    full = spheres.filled(edges, travel)
     volumes = stations.volumes()
-    found[:, :2] = _stresses(stations, model, state, spheres) / volumes[:, None]
-    found[:, 2] = spheres.wall_shear(stations, model, state) / stations.surfaces()
+    found[:, :2] = _stresses(stations, seen, spheres) / volumes[:, None]
+    found[:, 2] = spheres.wall_shear(stations, seen) / stations.surfaces()
     ring = np.minimum((RINGS * spheres.apart / stations.bores.at(spheres.s)).astype(int), RINGS - 1)
     member = [ring == number for number in range(RINGS)]
     columns = np.stack([np.ones(len(ring)), spheres.density, spheres.speed, *member, *member], axis=1)
@@ -84,6 +86,16 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
         found[:, 5] = sums[:, 2] / sums[:, 0]
         found[:, 6:] = sums[:, 3 + RINGS :] / sums[:, 3 : 3 + RINGS]
     found[~full] = np.nan
+    return found
+
+
+def stresses(stations: Stations, seen: Seen, travel: float) -> np.ndarray:
+    """The first two columns of :func:`measured`, of what was seen when the piston had gone so far [m]."""
+    spheres = _Spheres(seen, stations.axis)
+    found = np.full((len(stations.places), 2), np.nan)
+    if np.any(spheres.solid):
+        full = spheres.filled(np.array(stations.edges), travel)
+        found[full] = (_stresses(stations, seen, spheres) / stations.volumes()[:, None])[full]
     return found
 
 
@@ -145,27 +157,56 @@ def _logarithmic_mean(a: float, b: float) -> float:
     return a if abs(a - b) < 1e-6 * a else (a - b) / math.log(a / b)
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What is measured by, of one moment: arrays on the host, none of them one that the run goes on with."""
+
+    model: Model
+    chunks: list[int] | None
+    arrays: Mapping[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.arrays[name]
+
+
+def seen_of(model: Model, state: State) -> Seen:
+    """A state as it is now, with the forces of all contacts."""
+    _probe(model, state)
+    arrays = {path: attrgetter(path)(state) for path in SEEN}
+    arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
+    # On a CPU `numpy` gives the array itself.
+    copied = {name: each.numpy().copy() if each.device.is_cpu else each.numpy() for name, each in arrays.items()}
+    return Seen(model, chunks_of(state), copied)
+
+
 class _Spheres:
     """Spheres of a state, those of a plug left out of what fills the pipe, in the order of permanent numbers."""
 
-    def __init__(self, model: Model, state: State, axis: Axis) -> None:
-        self.order = np.argsort(state.spheres.id.numpy())
-        position = state.spheres.position.numpy().astype(float)[self.order]
-        body = state.spheres.body.numpy()[self.order]
+    def __init__(self, seen: Seen, axis: Axis) -> None:
+        self.order = np.argsort(seen["spheres.id"])
+        position = seen["spheres.position"].astype(float)[self.order]
+        body = seen["spheres.body"][self.order]
         self.centre, self.radius, self.body = position[:, :3], position[:, 3], body
         self.nearest, self.s = axis.projected(self.centre)
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
-        self.solid = state.bodies.group.numpy()[body] == 0
+        self.solid = seen["bodies.group"][body] == 0
         # Overlaps inside a clump count once: its spheres share its volume by their own.
         own = self.radius**3
-        whole = np.bincount(body, own, state.body_count)[body]
-        size = state.bodies.size.numpy().astype(float)[body]
+        whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
+        size = seen["bodies.size"].astype(float)[body]
         self.share = np.where(self.solid, np.pi / 6 * size**3 * own / whole, 0.0)
-        self.density = state.bodies.mass.numpy().astype(float)[body] / (np.pi / 6 * size**3)
-        velocity = state.spheres.velocity.numpy().astype(float)[self.order, :3]
+        self.density = seen["bodies.mass"].astype(float)[body] / (np.pi / 6 * size**3)
+        velocity = seen["spheres.velocity"].astype(float)[self.order, :3]
         self.speed = np.einsum("ij,ij->i", velocity, self.tangent)
-        self.middle = state.bodies.position.numpy().astype(float)
+        self.middle = seen["bodies.position"].astype(float)
+
+    def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
+        """Which slices lie between a piston that has gone so far [m] and the front, shape (slices,)."""
+        order = np.argsort(self.s, kind="stable")
+        total = np.cumsum(self.share[order])
+        front = self.s[order][np.searchsorted(total, FRONT * total[-1])]
+        return (edges[:-1] >= travel) & (edges[1:] <= front)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Sums over slices of columns (n, k), each times the solid volume of a sphere in a slice [m3], which planes
@@ -181,11 +222,11 @@ class _Spheres:
                 found[:, column] += np.bincount(slices, volume * columns[here, column], len(found))
         return found
 
-    def wall_shear(self, stations: Stations, model: Model, state: State) -> np.ndarray:
+    def wall_shear(self, stations: Stations, seen: Seen) -> np.ndarray:
         """Force along the wall against the flow, in each slice [N]."""
-        push, arm, wall = _wall_pushes(model, state, self.order)
+        push, arm, wall = _wall_pushes(seen, self.order)
         total = np.zeros(len(stations.edges) - 1)
-        number = [w.name for w in model.walls].index(stations.wall)
+        number = [w.name for w in seen.model.walls].index(stations.wall)
         for slot in range(push.shape[1]):
             here = (wall[:, slot] == number) & self.solid & np.any(arm[:, slot] != 0, axis=1)
             n = arm[here, slot] / np.linalg.norm(arm[here, slot], axis=1, keepdims=True)
@@ -198,25 +239,23 @@ class _Spheres:
         return total
 
 
-def _stresses(stations: Stations, model: Model, state: State, spheres: _Spheres) -> np.ndarray:
+def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
     """Sums over contacts in each slice [J]: a third of force times branch, and that along the pipe, shape (slices, 2).
 
     Both are positive where contacts push.
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.projected(spheres.middle)[1]
-    _probe(model, state)
-    push = _arrays(state)[0].numpy()
-    i, j, place = listed_pairs(state)
-    number, body = state.spheres.id.numpy(), state.spheres.body.numpy()
-    order = np.lexsort((np.maximum(number[i], number[j]), np.minimum(number[i], number[j])))
-    i, j, place = i[order], j[order], place[order]
-    force = push[place].astype(float)
-    acts = np.any(force != 0, axis=1)
-    first, second, force = body[i[acts]], body[j[acts]], force[acts]
+    i, j, place = pairs_of(seen["pairs.start"], seen["pairs.other"], seen.chunks)
+    force = seen["pair pushes"][place]
+    acts = np.flatnonzero(force.any(axis=1))
+    i, j, force = i[acts], j[acts], force[acts]
+    number, body = seen["spheres.id"].astype(np.int64), seen["spheres.body"]
+    order = np.argsort(np.minimum(number[i], number[j]) * len(number) + np.maximum(number[i], number[j]))
+    first, second, force = body[i[order]], body[j[order]], force[order].astype(float)
     branch = spheres.middle[second] - spheres.middle[first]
     total = _of_contacts(axis, edges, body_s[first], body_s[second], force, branch)
-    pushes, arms, _ = _wall_pushes(model, state, spheres.order)
+    pushes, arms, _ = _wall_pushes(seen, spheres.order)
     for slot in range(pushes.shape[1]):
         here = np.any(arms[:, slot] != 0, axis=1)
         point = spheres.centre[here] + arms[here, slot]
@@ -258,12 +297,13 @@ def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[t
         yield here, slices[here]
 
 
-def _wall_pushes(model: Model, state: State, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _wall_pushes(seen: Seen, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of spheres in an order, slot by slot: forces of walls [N], arms from their centres [m], numbers of the walls."""
-    push, arm = (array.numpy().astype(float)[order] for array in _arrays(state)[1:])
+    push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
     wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
-    if model.features.meshes:
-        wall[:, model.analytic_walls :] = state.slots.wall.numpy()[order][:, model.analytic_walls :]
+    if seen.model.features.meshes:
+        first = seen.model.analytic_walls
+        wall[:, first:] = seen["slots.wall"][order][:, first:]
     return push, arm, wall
 
 

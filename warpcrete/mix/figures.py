@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from ..core.errors import refuse
 
 INSTRUMENTS = 2.0
-"""Factor by which instruments that measure the same concrete differ (Ferraris & Brower 2001: yield stresses of five
-rheometers)."""
+"""Factor by which instruments may differ about one concrete before they contradict each other: a choice. That
+rheometers differ was found by comparing them (Ferraris & Martys 2003; RILEM TC 266-MRP 2023); by how much was not
+looked up."""
 
 
 @dataclass(frozen=True)

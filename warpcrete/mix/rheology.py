@@ -1,7 +1,7 @@
 """Yield stress and viscosity of a mix's concrete, mortar and slip layer: what is measured, and what follows from the
 rest by published relations.
 
-Rheometers of different make read the same concrete differently (Ferraris & Brower 2001; RILEM TC 266-MRP 2023), so what
+Rheometers of different make read the same concrete differently (Ferraris & Martys 2003; RILEM TC 266-MRP 2023), so what
 a relation found beside one of them is not surer than that.
 """
 
@@ -32,12 +32,14 @@ TRIBOMETER = 0.15
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """By which slump [m], spread [m] and T500 [s] may be misread (EN 12350-2 and -8: repeatability of 16 to 42 mm)."""
 ROUGHEST, EASIEST = (3.25, PACKED), (2.5, 0.65)
-"""Intrinsic viscosity and densest packing at the ends of the band: of rough grains (ground gypsum; Barnes, Hutton &
-Walters 1989) in the packing of equal balls (Mahaut et al. 2008), and of spheres of mixed sizes."""
+"""Intrinsic viscosity and densest packing at the ends of the band: of rough grains, a choice of a third above spheres'
+(ascribed to Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal balls (Mahaut et al.
+2008), and of spheres of mixed sizes."""
 SLOWER = 1.3
 """Factor by which T500's relation is off for lifts of 1 to 3 s and for inertia, measured."""
 UNKNOWN = (70.0, 20.0, 400.0)
-"""Plastic viscosity that nothing tells [Pa s], and its band."""
+"""Plastic viscosity that nothing tells [Pa s], and its band: wide enough for the three concretes of Xu, Li & Jiang
+(2021), and for thinner ones."""
 LAYER_OFF = 3.0
 """Factor by which a slip layer that was not measured may be off, either way."""
 TWICE = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26, 10: 2.23}
@@ -79,13 +81,13 @@ def viscosities(given: Given) -> Iterator[Figure]:
         highest = max(SLOWER * value, viscosity_of_t500_sedran(given.t500, given.spread, given.density))
         yield Figure("viscosity", value, early * value / SLOWER, late * highest, "Pa s",
                      f"T500 of {given.t500:g} s and spread",
-                     "simulated here; upper end Sedran & de Larrard 1999", "cone")  # fmt: skip
+                     "simulated here; upper end ascribed to Sedran & de Larrard 1999", "cone")  # fmt: skip
 
 
 def unknown_viscosity() -> Figure:
     """Where nothing tells it."""
     return Figure("viscosity", *UNKNOWN, "Pa s", "nothing: a guess",
-                  "Banfill 2003: 20 to 100 of most concretes; Xu, Li & Jiang 2021: 297 to 397")  # fmt: skip
+                  "Xu, Li & Jiang 2021 measured 297 to 397; of thinner concretes no source was seen")  # fmt: skip
 
 
 def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:

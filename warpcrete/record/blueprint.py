@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.display import Display, DrawnWall
 from ..geometry.rotation import rotate
-from .legend import legend_title
+from .legend import capitalised, legend_title
 
 PAPER = (250, 250, 250)
 PLAYED = 8.0
@@ -17,6 +17,7 @@ SLIM = 0.25
 """Width over height, or height over width, of what is seen best with all views side by side."""
 CHAINS, CUT = "scene/network", "scene/cut"
 """Paths of what the whole scene is drawn without."""
+PAINT_LEGEND = "legend_of_walls"
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
@@ -25,8 +26,11 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
 
     scenes = _arranged(display, _scenes(display, network))
     if legend:
-        bar = rrb.Spatial2DView(name=legend_title(display), origin="legend", background=PAPER)
-        scenes = rrb.Vertical(scenes, bar, row_shares=[8, 1])
+        bars = {"legend": legend_title(display)}
+        if (paint := display.paint()) is not None:
+            bars[PAINT_LEGEND] = capitalised(paint.label)
+        views = [rrb.Spatial2DView(name=title, origin=path, background=PAPER) for path, title in bars.items()]
+        scenes = rrb.Vertical(scenes, *views, row_shares=[8, *(1 for _ in views)])
     curves = [rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()]
     curves += [rrb.BarChartView(name=each.title, origin=f"profile/{each.path}") for each in display.profiles()]
     speed = min(1.0, duration / PLAYED)

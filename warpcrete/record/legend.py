@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 
 from ..core.display import Display
+from ..core.paint import Paint
 
 SIZE, DENSITY = (9.0, 0.55), 100
 """Of the picture [in], and dots per inch."""
@@ -15,7 +17,11 @@ SIZE, DENSITY = (9.0, 0.55), 100
 def legend_title(display: Display) -> str:
     """What colours show, with the unit."""
     scale = display.scale()
-    title = scale[0] if scale is not None else ", ".join(display.things())
+    return capitalised(scale[0] if scale is not None else ", ".join(display.things()))
+
+
+def capitalised(title: str) -> str:
+    """With a capital first, the units as they are."""
     return title[:1].upper() + title[1:]
 
 
@@ -31,27 +37,52 @@ def meaning(display: Display) -> str:
     return ""
 
 
+def paint_meaning(paint: Paint) -> str:
+    """What the colours of painted walls show, in a sentence."""
+    if not paint.upper > 0:
+        return f"Colours: {paint.label}, nothing yet, on {paint.palette}."
+    return f"Colours: {paint.label} from 0 to {paint.upper:.3g} and above, on {paint.palette}."
+
+
 def legend(display: Display) -> bytes | None:
     """A bar of the colours with their values as PNG, or a patch for each thing; None where there is nothing to say."""
+    scale, things = display.scale(), display.things()
+    if scale is not None:
+        return _bar(scale[1], scale[2], "viridis")
+    if not things:
+        return None
+    figure, axes = _blank()
+    axes.axis("off")
+    for number, (name, colour) in enumerate(things.items()):
+        axes.add_patch(_patch(number / len(things), colour))
+        axes.text(number / len(things) + 0.09, 0.4, name, va="center", fontsize=11)
+    return _png(figure)
+
+
+def paint_legend(paint: Paint) -> bytes | None:
+    """A bar of the colours of painted walls as PNG; None while there is nothing to show."""
+    return _bar(0.0, paint.upper, paint.palette) if paint.upper > 0 else None
+
+
+def _bar(lower: float, upper: float, palette: str) -> bytes:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
+
+    figure, axes = _blank()
+    bar = ScalarMappable(Normalize(lower, upper), palette)
+    figure.colorbar(bar, cax=axes, orientation="horizontal", extend="max", extendfrac=0.02)
+    axes.tick_params(labelsize=10)
+    return _png(figure)
+
+
+def _blank() -> tuple[Any, Any]:
     from matplotlib.figure import Figure
 
-    scale, things = display.scale(), display.things()
-    if scale is None and not things:
-        return None
     figure = Figure(figsize=SIZE, dpi=DENSITY, facecolor=np.full(3, 250 / 255))
-    axes = figure.add_axes((0.03, 0.46, 0.94, 0.46))
-    if scale is not None:
-        _, lower, upper = scale
-        bar = ScalarMappable(Normalize(lower, upper), "viridis")
-        figure.colorbar(bar, cax=axes, orientation="horizontal", extend="max", extendfrac=0.02)
-        axes.tick_params(labelsize=10)
-    else:
-        axes.axis("off")
-        for number, (name, colour) in enumerate(things.items()):
-            axes.add_patch(_patch(number / len(things), colour))
-            axes.text(number / len(things) + 0.09, 0.4, name, va="center", fontsize=11)
+    return figure, figure.add_axes((0.03, 0.46, 0.94, 0.46))
+
+
+def _png(figure: Any) -> bytes:
     out = io.BytesIO()
     figure.savefig(out, format="png", facecolor=figure.get_facecolor())
     return out.getvalue()

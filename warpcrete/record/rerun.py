@@ -18,12 +18,15 @@ from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
 from ..core.files import cannot_write
 from ..core.later import Later
+from ..core.paint import STEPS, Paint
 from ..core.run_loop import Recorder, Run, Simulation
-from .blueprint import CHAINS, CUT, blueprint, cut_walls
-from .legend import legend
+from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
+from .legend import legend, paint_legend
 
 FLUSH_TIME = 10.0  # [s] that a viewer, or the writer of a file that does not grow, gets to take the rest
 AXIS = (200, 200, 200)
+MARGIN = 512
+"""Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
 
 
 class RerunRecorder(Recorder):
@@ -114,14 +117,44 @@ class RerunRecorder(Recorder):
         self._log(f"scene/{display.noun}", spheres)
         for number, name in self._moving:
             self._log_pose(number, f"scene/walls/{name}")
-        for number, wall in enumerate(self._walls):
-            if (colours := display.wall_colours(number)) is not None:
-                self._log(f"scene/walls/{wall}", rr.Mesh3D.from_fields(vertex_colors=colours))
+        self._draw_paint(display)
         if self.network:
             for name, lines in display.network().items():
                 self._log(f"{CHAINS}/{name}", rr.LineStrips3D(lines.ends, colors=lines.colours, radii=lines.radii))
         for profile in display.profiles():
             self._draw_profile(profile)
+
+    def _draw_paint(self, display: Display) -> None:
+        """Values on painted walls, as places in a texture of all colours."""
+        paint = display.paint()
+        if paint is None:
+            return
+        painted: list[str] = []
+        for number, wall in enumerate(self._walls):
+            if (values := display.wall_values(number)) is None:
+                continue
+            places = np.full((len(values), 2), 0.5, np.float32)
+            places[:, 0] = (MARGIN + paint.steps(values) + 0.5) / (MARGIN + STEPS)
+            paths = [f"scene/walls/{wall}"] + [f"{CUT}/{wall}"] * (wall in self._cut)
+            for path in paths:
+                self._log(path, self._rr.Mesh3D.from_fields(vertex_texcoords=places))
+            painted += paths
+        if paint != self._paint:
+            self._paint = paint
+            self._log_scale(paint, painted)
+
+    def _log_scale(self, paint: Paint, painted: list[str]) -> None:
+        """The texture and the legend, for all frames: of what is static, the viewer takes what was logged last."""
+        rr = self._rr
+        from rerun.components import ImageFormat
+
+        colours = np.pad(paint.colours(), ((MARGIN, 0), (0, 0)), mode="edge")
+        form = ImageFormat(width=len(colours), height=1, color_model="RGB", channel_datatype="U8")
+        texture = rr.Mesh3D.from_fields(albedo_texture_buffer=colours.tobytes(), albedo_texture_format=form)
+        for path in painted:
+            self._log(path, texture, static=True)
+        if (picture := paint_legend(paint)) is not None:
+            self._log(PAINT_LEGEND, rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
 
     def _draw_profile(self, profile: Profile) -> None:
         """Curves as bars, side by side: the viewer has no other axes than those of time."""
@@ -164,8 +197,7 @@ class RerunRecorder(Recorder):
         for wall in cut_walls(display):
             mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
             self._log(f"{CUT}/{wall.name}", mesh, static=True)
-            number = [each.name for each in display.walls()].index(wall.name)
-            self._log_pose(number, f"{CUT}/{wall.name}", static=True)
+            self._log_pose(self._walls.index(wall.name), f"{CUT}/{wall.name}", static=True)
         picture = legend(display)
         if picture is not None:
             self._log("legend", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
@@ -213,6 +245,8 @@ class RerunRecorder(Recorder):
         walls = display.walls()
         self._walls = [wall.name for wall in walls]
         self._moving = [(number, wall.name) for number, wall in enumerate(walls) if wall.moves]
+        self._cut = [wall.name for wall in cut_walls(display)]
+        self._paint: Paint | None = None
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         try:

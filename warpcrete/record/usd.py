@@ -18,7 +18,7 @@ from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
-from .usd_looks import Colours, bind, bodies_look, describe, light, linear, wall_look
+from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
 FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
 
@@ -90,8 +90,7 @@ class UsdRecorder(Recorder):
 
         UsdGeom.Xform.Define(self._stage, "/Run/Walls")
         self._poses: dict[int, tuple[Any, Any]] = {}
-        self._painted: dict[int, Any] = {}
-        """Walls with a colour of each vertex, by number."""
+        self._painted: dict[int, Painted] = {}
         for number, wall in enumerate(walls):
             name = _prim_name(wall.name, number, walls)
             mesh = UsdGeom.Mesh.Define(self._stage, f"/Run/Walls/{name}")
@@ -102,13 +101,13 @@ class UsdRecorder(Recorder):
             mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
             mesh.CreateDoubleSidedAttr(True)
             mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
-            painted = self._display.wall_colours(number) is not None
+            painted = self._display.wall_values(number) is not None
             material, colour, opacity = wall_look(self._stage, wall, f"Wall_{name}", painted)
             bind(mesh.GetPrim(), material)
             mesh.CreateDisplayOpacityAttr([opacity])
             mesh.ClearXformOpOrder()
             if painted:
-                self._painted[number] = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+                self._painted[number] = Painted(mesh)
             else:
                 mesh.CreateDisplayColorAttr([colour])
             self._poses[number] = (mesh.AddTranslateOp(), mesh.AddOrientOp(UsdGeom.XformOp.PrecisionDouble))
@@ -134,7 +133,7 @@ class UsdRecorder(Recorder):
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
-        from pxr import Usd, Vt
+        from pxr import Usd
 
         code = Usd.TimeCode(time * FRAMES_PER_SECOND)
         self._first = code.GetValue() if self._first is None else self._first
@@ -142,10 +141,11 @@ class UsdRecorder(Recorder):
         self._bodies.frame(self._display, code)
         for number in self._moving:
             self._pose(number, code)
+        paint = self._display.paint()
         for number, painted in self._painted.items():
-            colours = self._display.wall_colours(number)
-            assert colours is not None
-            painted.Set(Vt.Vec3fArray.FromNumpy(linear(colours)), code)
+            values = self._display.wall_values(number)
+            assert values is not None and paint is not None
+            painted.set(values, paint, code)
 
     def _pose(self, number: int, code: Any) -> None:
         from pxr import Gf

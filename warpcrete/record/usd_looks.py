@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..core.display import Display, DrawnWall
-from .legend import meaning
+from ..core.paint import Paint
+from .legend import meaning, paint_meaning
 
 LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
@@ -146,3 +147,26 @@ class Colours:
             self._primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self._table, np.float32)))
         numbers = np.array([self._numbers[row.tobytes()] for row in light], np.int32)
         self._primvar.SetIndices(Vt.IntArray.FromNumpy(numbers[place.ravel()]), code)
+
+
+class Painted:
+    """A wall's colours over time: steps of the values, of which a list has the colours on the scale of all frames."""
+
+    def __init__(self, mesh: Any) -> None:
+        from pxr import UsdGeom
+
+        self._prim = mesh.GetPrim()
+        self._primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        self._paint: Paint | None = None
+
+    def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
+        """Values of the vertices (v,), as read, at a time code."""
+        from pxr import Vt
+
+        if paint != self._paint:
+            self._paint = paint
+            self._primvar.Set(Vt.Vec3fArray.FromNumpy(linear(paint.colours())))
+            self._prim.SetDocumentation(paint_meaning(paint))
+            scale = {"quantity": paint.label, "lower": 0.0, "upper": float(paint.upper), "palette": paint.palette}
+            self._prim.SetCustomDataByKey("colours", scale)
+        self._primvar.SetIndices(Vt.IntArray.FromNumpy(paint.steps(values)), code)

@@ -56,7 +56,7 @@ def viscosity_of_t500(t500: float, spread: float, density: float) -> float:
 
 
 def viscosity_of_t500_sedran(t500: float, spread: float, density: float) -> float:
-    """The same by Sedran & de Larrard (1999), fitted to what the rheometer BTRHEOM had of self-compacting concretes:
-    rho g T500 (0.026 spread - 2.39) / 10,000, spread in mm.
+    """The same by rho g T500 (0.026 spread - 2.39) / 10,000, spread in mm: a relation ascribed to Sedran & de Larrard
+    (1999), who had it beside the rheometer BTRHEOM; their paper was not seen.
     """
     return density * GRAVITY * t500 * max(0.026 * 1e3 * spread - 2.39, 0.0) / 1e4

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile, on_palette
+from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
+from ...core.paint import on_palette
 from .layout import Frame
 from .probes import loss_along
 from .scene import PartScene
