@@ -16,7 +16,7 @@ from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.packing import pack
 from warpcrete.dem.pictures import plot_stations
 from warpcrete.dem.scene import Bodies, Scene, Stations
-from warpcrete.dem.stations import COLUMNS, losses, measured
+from warpcrete.dem.stations import COLUMNS, FINEST, body_stresses, losses, measured, stresses_along
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import through
@@ -159,6 +159,33 @@ def test_stress_on_the_wall_of_one_sphere_that_slides(device):
     assert found["axial_stress"] == pytest.approx(0.0, abs=1e-9) and found["velocity_0.9R"] == pytest.approx(0.2)
 
 
+def along(stations, simulation):
+    """Stresses along a pipe by those of its bodies, shape (slices, 2) [Pa]."""
+    bodies, unit = simulation.state.bodies, 0.1
+    stress = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    centre, size = bodies.position.numpy().astype(float), bodies.size.numpy().astype(float)
+    return stresses_along(stations, stress, centre, size, bodies.group.numpy() == 0, 0.0)
+
+
+def test_stress_of_two_bodies_that_touch(device):
+    """Half of force times branch each, in whichever direction they lie; a wall's push goes to one body whole."""
+    contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)
+    way, reach = np.array([2.0, -1.0, 2.0]) / 3, 0.019
+    scene = Scene(
+        name="touch", duration=1.0, gravity=(0, 0, 0), contact=contact,
+        bodies=(Bodies(positions=[[0.5, 0, 0], (np.array([0.5, 0, 0]) + reach * way).tolist()], sizes=0.02),),
+        walls=(PipeWall(name="pipe", axis=Axis((0, 0, 0), (1, 0, 0), (Line(1.0),)), radius=0.05),),
+    )  # fmt: skip
+    simulation: Any = Simulation(scene, device=device, precision="float64")
+    simulation.prepare()
+    unit = 1e5 * 0.02**3
+    found = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    push = 1e5 * math.pi * 0.01**2 / 0.02 * 0.001  # of Zhan's spring, E pi r^2 / (r_i + r_j) times the overlap
+    tensor = push * reach * np.outer(way, way)
+    expected = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[2, 0]]
+    assert found == pytest.approx(np.array([expected, expected]) / 2, rel=1e-9)
+
+
 def test_velocity_profile_goes_by_rings(device):
     simulation = two_spheres(device, velocities=[[0.3, 0, 0], [0.3, 0, 0]])
     found = dict(zip(COLUMNS, measured(simulation.scene.stations, simulation.model, simulation.state, 0.0)[0]))
@@ -185,6 +212,10 @@ def test_a_column_at_rest_bears_what_stands_on_it(device, wall):
     above = [200 + 9.81 * mass[z > place - scene.stations.origin].sum() / area for place in scene.stations.places[full]]
     assert full.sum() >= 3
     assert found[full, 1] == pytest.approx(above, rel=0.02)  # measured 0.6 %: stones are counted by their centres
+    by_bodies = along(scene.stations, simulation)
+    assert np.array_equal(np.isfinite(by_bodies[:, 0]), full)
+    assert by_bodies[full] == pytest.approx(found[full, :2], rel=0.04)  # measured 3.0 %, of one slice
+    assert by_bodies[full].sum(axis=0) == pytest.approx(found[full, :2].sum(axis=0), rel=0.01)
     solids = state.bodies.size.numpy() ** 3 * math.pi / 6
     lower = scene.stations.edges[-2]
     inside = z + scene.stations.origin < lower

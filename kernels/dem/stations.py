@@ -116,3 +116,64 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
             wall_arm[i - base, slot] = arm
 
     return measure_forces
+
+
+STRESSES = wp.constant(6)
+"""Of a body: force times branch, xx, yy, zz, xy, yz, zx."""
+
+
+@functools.cache
+def stress_probe(scalar):
+    """Kernel over spheres of scene `s`: adds to the bodies, half to each of a pair, force times branch of the contacts
+    that :func:`force_probe` found, positive where they push. Sums are of whole numbers, `scale` to a joule, which come
+    to the same in any order."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
+    xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def add(stress: wp.array2d(dtype=wp.int64), body: wp.int32, push: t.vec3, branch: t.vec3, scale: wp.float64):
+        for c in range(3):
+            d = (c + 1) % 3
+            level = wp.float64(push[c]) * wp.float64(branch[c])
+            across = (wp.float64(push[c]) * wp.float64(branch[d]) + wp.float64(push[d]) * wp.float64(branch[c])) / (
+                wp.float64(2.0)
+            )
+            wp.atomic_add(stress, body, c, wp.int64(wp.round(-level * scale)))
+            wp.atomic_add(stress, body, c + 3, wp.int64(wp.round(-across * scale)))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def add_stresses(
+        s: wp.int32,
+        scale: wp.float64,
+        # state, read
+        scenes: Scenes,
+        bodies: Bodies,
+        spheres: Spheres,
+        pairs: Pairs,
+        pair_push: wp.array(dtype=t.vec3),
+        wall_push: wp.array2d(dtype=t.vec3),
+        wall_arm: wp.array2d(dtype=t.vec3),
+        # written
+        stress: wp.array2d(dtype=wp.int64),
+    ):
+        base = scenes.row[s].spheres
+        first_body = scenes.row[s].bodies
+        i = base + wp.tid()
+        body = spheres.body[i]
+        middle = bodies.position[first_body + body]
+        first_entry = scenes.row[s].pairs
+        for k in range(first_entry + pairs.start[i + s], first_entry + pairs.start[i + s + 1]):
+            push = pair_push[k - first_entry]
+            if wp.length_sq(push) > scalar(0.0):
+                other = spheres.body[base + decode(pairs.other[k])]
+                branch = scalar(0.5) * (bodies.position[first_body + other] - middle)
+                add(stress, body, push, branch, scale)
+                add(stress, other, push, branch, scale)
+        for slot in range(wall_push.shape[1]):
+            push = wall_push[i - base, slot]
+            if wp.length_sq(push) > scalar(0.0):
+                add(stress, body, push, xyz(spheres.position[i]) + wall_arm[i - base, slot] - middle, scale)
+
+    return add_stresses

@@ -24,7 +24,8 @@ from ..core.display import (
 from ..core.paint import Paint, on_palette, rounded_up
 from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_forces, listed_forces, pairs_of
-from .stations import COLUMNS, Seen, seen_of, stresses
+from .slices import Stations
+from .stations import COLUMNS, FINEST, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
@@ -68,7 +69,7 @@ class ElementDisplay(Display):
     def _limit(self) -> float:
         """Top of the colour scale: a strong contact force, 1.5 times the steady speed, the largest size."""
         scene = self.simulation.scene
-        largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
+        self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
         self._thick = STRONGEST * largest
         self._strong = 0.05 * scene.contact.stress_scale * largest**2
         if self.colouring == "size":
@@ -161,24 +162,28 @@ class ElementDisplay(Display):
         """Middles of the slices that are full [m] and what they bear [kPa]."""
         stations = self.simulation.scene.stations
         if self._along is None or self._along[0] != self.time:  # all curves of a frame by one measurement
-            last = self.once("stations", self._last_stations)
-            self._along = self.time, stresses(stations, *last) if isinstance(last, tuple) else last
+            self._along = self.time, self._along_now(stations)
         values = self._along[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
-    def _last_stations(self) -> np.ndarray | tuple[Seen, float]:
-        """What stations measured in the last row of the series, which is a hundredth of a second old at most by
-        default, shape (slices, COLUMNS); where rows do not have it, what to measure it by, and the piston's travel [m].
+    def _along_now(self, stations: Stations) -> np.ndarray:
+        """What the last row of the series has, a hundredth of a second old at most by default, shape (slices, COLUMNS);
+        where rows do not have it, stresses of this moment, (slices, 2).
         """
         simulation = self.simulation
-        stations, sampler = simulation.scene.stations, getattr(simulation, "sampler", None)
-        if sampler is not None and not stations.each_row:
-            travel = sampler.rows[-1].get("travel", 0.0) if sampler.rows else 0.0
-            return seen_of(simulation.model, simulation.state), travel
-        if sampler is None or not sampler.log.samples:  # before t = 0
+        sampler = getattr(simulation, "sampler", None)
+        if sampler is None:  # before t = 0
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
-        return sampler.log.samples[-1]  # no row is written to again
+        if stations.each_row:
+            return self.once("stations", lambda: sampler.log.samples[-1])  # no row is written to again
+        unit = simulation.scene.contact.stress_scale * self._largest**3
+        stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
+        travel = self.once("travel", lambda: sampler.rows[-1].get("travel", 0.0) if sampler.rows else 0.0)
+        return stresses_along(
+            stations, FINEST * unit * stress, self.read("bodies.position").astype(float),
+            self.read("bodies.size").astype(float), self.read("bodies.group") == 0, travel,
+        )  # fmt: skip
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;

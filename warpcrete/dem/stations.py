@@ -20,7 +20,7 @@ import warp as wp
 from ..core.launching import DEFAULT_BLOCK, Stage, at_once, parameter_names
 from ..geometry.axis import Axis
 from ..kernels.common.types import types
-from ..kernels.dem.stations import force_probe
+from ..kernels.dem.stations import STRESSES, force_probe, stress_probe
 from .model import Model
 from .probes import chunks_of, pairs_of
 from .slices import FEWEST, Stations
@@ -89,14 +89,56 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     return found
 
 
-def stresses(stations: Stations, seen: Seen, travel: float) -> np.ndarray:
-    """The first two columns of :func:`measured`, of what was seen when the piston had gone so far [m]."""
-    spheres = _Spheres(seen, stations.axis)
-    found = np.full((len(stations.places), 2), np.nan)
-    if np.any(spheres.solid):
-        full = spheres.filled(np.array(stations.edges), travel)
-        found[full] = (_stresses(stations, seen, spheres) / stations.volumes()[:, None])[full]
+FINEST = 2.0**-40
+"""Part of the unit of :func:`body_stresses`, in which they are counted: a sum of thousands of contacts keeps nine
+digits, and a million units have room."""
+
+
+def body_stresses(model: Model, state: State, unit: float) -> wp.array:
+    """Force times branch of every body's contacts, half of each pair's: xx, yy, zz, xy, yz, zx in `FINEST` of `unit`
+    [J], shape (bodies, 6), in the order of the state's arrays; on the device, and good until the next call.
+    """
+    stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
+    stress.zero_()
+    if state.sphere_count:
+        _probe(model, state)
+        pair_push, wall_push, wall_arm = _arrays(state)
+        recorded = state.launches(state.batch.version)
+        if "body stresses" not in recorded:
+            given = {"s": state.index, "scale": 1 / (FINEST * unit), "pair_push": pair_push, "wall_push": wall_push,
+                     "wall_arm": wall_arm, "stress": stress}  # fmt: skip
+            recorded["body stresses"] = at_once([_stage(state, stress_probe(model.scalar), state.sphere_count, given)],
+                                                state.batch.device)  # fmt: skip
+        recorded["body stresses"]()
+    return stress
+
+
+def stresses_along(
+    stations: Stations, stress: np.ndarray, centre: np.ndarray, size: np.ndarray, fills: np.ndarray, travel: float
+) -> np.ndarray:
+    """Mean normal stress, and that along the pipe, in all slices [Pa], shape (slices, 2): the first two columns of
+    :func:`measured`, each body's stress spread evenly over its width, NaN where concrete does not fill a slice.
+
+    Of bodies: `stress` [J] (n, 6) as of :func:`body_stresses`, `centre` [m] (n, 3), `size` [m] (n,), and whether it
+    `fills` the pipe (n,), which a plug does not.
+    """
+    edges, axis = np.array(stations.edges), stations.axis
+    s = axis.projected(centre)[1]
+    t = axis.at(s)[1]
+    along = np.einsum("ij,ij->i", stress[:, :3], t**2)
+    along += 2 * np.einsum("ij,ij->i", stress[:, 3:], t * np.roll(t, -1, axis=1))
+    each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
+    found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes()[:, None]
+    found[~_between(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
     return found
+
+
+def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
+    """Which slices lie between a piston that has gone so far and the front of some volumes at arc lengths [m]."""
+    total = np.cumsum(volume[order := np.argsort(s, kind="stable")])
+    if not len(total) or total[-1] == 0:
+        return np.zeros(len(edges) - 1, bool)
+    return (edges[:-1] >= travel) & (edges[1:] <= s[order][np.searchsorted(total, FRONT * total[-1])])
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
@@ -203,10 +245,7 @@ class _Spheres:
 
     def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
         """Which slices lie between a piston that has gone so far [m] and the front, shape (slices,)."""
-        order = np.argsort(self.s, kind="stable")
-        total = np.cumsum(self.share[order])
-        front = self.s[order][np.searchsorted(total, FRONT * total[-1])]
-        return (edges[:-1] >= travel) & (edges[1:] <= front)
+        return _between(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Sums over slices of columns (n, k), each times the solid volume of a sphere in a slice [m3], which planes
@@ -327,9 +366,15 @@ def _probe(model: Model, state: State) -> None:
     for first, last in pairwise(state.chunks):
         given: dict[str, Any] = {"s": state.index, "first": base + first, "last": base + last, "pair_push": pair_push,
                                  "wall_push": wall_push, "wall_arm": wall_arm}  # fmt: skip
-        bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
-        stages.append(Stage(kernel, last - first, bound, batch.device, block=DEFAULT_BLOCK))
+        stages.append(_stage(state, kernel, last - first, given))
     recorded = state.launches(batch.version)
     if "forces" not in recorded:
         recorded["forces"] = at_once(stages, batch.device)
     recorded["forces"]()
+
+
+def _stage(state: State, kernel: Any, dim: int, given: dict[str, Any]) -> Stage:
+    """A launch over one scene of a batch; parameters that are not given are the batch's attributes of their names."""
+    batch = state.batch
+    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
+    return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
