@@ -59,7 +59,10 @@ def thick(folder, radii) -> str:
     return str(folder / "thick.stl")
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "shape",
+    [pytest.param(shape, marks=[pytest.mark.thorough] if shape in ("waist", "cylinder") else []) for shape in SHAPES],
+)
 def test_aggregates_are_packed_inside_the_mesh(tmp_path, shape):
     """Every centre inside the true wall, and as full in the mesh as before and behind it."""
     scene: Any = scenes.part_dem(**SMALL | made(tmp_path, shape))

@@ -91,7 +91,7 @@ def test_chains_are_as_wide_as_contacts_press(pumped):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_load_of_each_body_is_its_largest_contact_force(device, threads):
-    scene = scenes.pipe(**SMALL | dict(shapes="reference", travel=0.004, settle=0.0))
+    scene = scenes.pipe(**SMALL | dict(shapes="reference", travel=0.001, settle=0.0))
     simulation = Simulation(scene, device=device, threads=threads)
     simulation.run()
     model, state = simulation.model, simulation.state

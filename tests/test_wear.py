@@ -198,6 +198,7 @@ def test_counting_wear_changes_nothing_else(device, case):
     assert run["wear_impact_energy"] < 0.02 * run["wear_sliding_energy"]
 
 
+@pytest.mark.thorough
 def test_the_command_draws_and_paints_it(tmp_path):
     from pxr import Usd, UsdGeom
 

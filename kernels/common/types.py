@@ -28,14 +28,17 @@ def types(scalar):
 def cpu_flags() -> str:
     """Compiler flags for the kernel that takes most of the time: fused multiply-add, worth a tenth.
 
-    With AVX2 instead of all that the processor has (AVX-512) single precision is faster by another tenth.
+    With AVX2 instead of all that the processor has (AVX-512) single precision is faster by another tenth. LLVM's
+    options are those of all other kernels: a process has one set of them, so that kernels of two are not compiled side
+    by side.
     """
     try:
         features = set(Path("/proc/cpuinfo").read_text().split())
     except OSError:
         features = set()
     target = "-target-cpu x86-64-v3" if {"avx2", "fma", "bmi2"} <= features else "-march=native"
-    return f"{target} -ffp-contract=fast"
+    llvm = [flag for flag in (wp.config.cpu_compiler_flags or "").split() if flag.startswith("-mllvm=")]
+    return " ".join([target, "-ffp-contract=fast", *llvm])
 
 
 LOWEST_BIT = """
