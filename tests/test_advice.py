@@ -76,6 +76,7 @@ def test_the_nearest_shipped_trade_is_taken():
     assert shipped("nothing", pipes, {}, False) is None
 
 
+@pytest.mark.thorough
 def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",

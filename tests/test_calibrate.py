@@ -218,6 +218,7 @@ def test_values_that_contradict_one_another_are_refused():
     assert len(task_of(raw, modules()).targets) == 2
 
 
+@pytest.mark.thorough
 def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
     """By the command, with real runs: interrupted after its first round, gone on with, and the concrete used."""
     path = tmp_path / "targets.yaml"
