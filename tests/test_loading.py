@@ -41,7 +41,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     assert not [name for name, module, block in apart if (module, block) not in together], apart
 
 
-def test_headers_are_compiled_once_for_each_flags(monkeypatch):
+def test_headers_are_compiled_once_for_each_flags():
     """Or each thread would compile them anew, and that is what takes longest."""
     known, folders, made = wp._src.context.runtime._pch_dirs, [], []
     before = dict(known)
@@ -68,7 +68,7 @@ def test_headers_are_compiled_once_for_each_flags(monkeypatch):
 
 def test_who_comes_second_waits_until_headers_are_compiled():
     headers, order = launching._Headers(), []
-    inside, go_on = threading.Event(), threading.Event()
+    inside, go_on, asking = threading.Event(), threading.Event(), threading.Event()
 
     def first() -> None:
         with headers.used():
@@ -78,6 +78,7 @@ def test_who_comes_second_waits_until_headers_are_compiled():
             order.append("first")
 
     def second() -> None:
+        asking.set()
         with headers.used():
             order.append("second")
 
@@ -85,6 +86,7 @@ def test_who_comes_second_waits_until_headers_are_compiled():
     threads[0].start()
     assert inside.wait(10)
     threads[1].start()
+    assert asking.wait(10)
     time.sleep(0.05)
     go_on.set()
     for thread in threads:

@@ -184,6 +184,8 @@ def test_stress_of_two_bodies_that_touch(device):
     tensor = push * reach * np.outer(way, way)
     expected = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[2, 0]]
     assert found == pytest.approx(np.array([expected, expected]) / 2, rel=1e-9)
+    again = FINEST * 8 * unit * body_stresses(simulation.model, simulation.state, 8 * unit).numpy()
+    assert again == pytest.approx(found, rel=1e-9)
 
 
 def test_velocity_profile_goes_by_rings(device):

@@ -212,3 +212,16 @@ def test_a_hose_is_one_part_of_a_flow(tmp_path):
     assert scene.sections[1].end - scene.sections[1].begin == pytest.approx(line.parts[1].length)
     assert scene.friction(0, scene.axis.length) == pytest.approx(scene.theory(0.0).pressure * scene.axis.length)
     assert not scene.is_half
+
+
+def test_the_room_of_a_long_line_holds_its_turns(tmp_path):
+    """Where it turns is as far as it goes: between places that lie apart the wall of the room would close the bore."""
+    parts = "[{straight: 25}, {bend: {to: left, radius: 0.15}}, {bend: {to: left, radius: 0.15}}, {straight: 30}]"
+    scene = scenes.part(concrete="no1", spacing=0.0125, line=written(tmp_path, parts))
+    room, frame = part_room(scene), Frame(scene)
+    points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, 100_000))
+    reach = scene.widest * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
+    places = frame.inward(points)
+    assert np.all((places - reach).min(0)[[0, 2]] > np.array(room.origin)[[0, 2]] + room.width[0])
+    top = np.array(room.origin) + np.array(room.cells) * np.array(room.width)
+    assert np.all((places + reach).max(0)[:2] < top[:2] - room.width[0])

@@ -16,7 +16,7 @@ from warpcrete.theory.suspension import SUSPENSIONS, thickening
 PIPE = Line(radius=0.0625, length=1.0, rise=0.0)
 
 
-@pytest.mark.parametrize("thickness", [0.0, 2e-3])
+@pytest.mark.parametrize("thickness", [0.0, 2e-3, 0.04])
 @pytest.mark.parametrize("name", CONCRETES)
 def test_even_concrete_is_buckingham_and_reiners(name, thickness):
     line = replace(PIPE, slip_thickness=thickness)

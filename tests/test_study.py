@@ -41,6 +41,10 @@ def test_a_study_from_python(tmp_path):
     assert warpcrete.load(tmp_path / "study").scene == "channel"
     with pytest.raises(SceneError, match="must be a scene function"):
         warpcrete.study("channel", vary={"flow": [1e-3]}, out=tmp_path / "other")
+    for vary, message in (({"flow": 1e-3}, "flow = 0.001: must be a list"), ({"ends": "open"}, "ends = 'open'"),
+                          ([("flow", [1e-3])], "vary = .*must be a mapping")):  # fmt: skip
+        with pytest.raises(SceneError, match=message):
+            warpcrete.study(scenes.channel, vary=vary, out=tmp_path / "other")
     with pytest.raises(SceneError, match="flaw"):
         warpcrete.study(scenes.channel, vary={"flaw": [1e-3]}, out=tmp_path / "other")
     assert not (tmp_path / "other").exists()

@@ -309,6 +309,9 @@ def test_paint_tells_values_apart_and_ends_on_round_numbers():
     steps = paint.steps(values)
     assert np.ptp(paint.steps(np.array([0.0, 1e-12, 0.19]))) == 0 and np.all(np.diff(steps) >= 0)
     off = np.abs(paint.colours()[steps].astype(int) - on_palette(values, 50.0, name="magma_r").astype(int))
+    high = np.geomspace(1e-3, 1e9, 5000)
+    deep = Paint("worn depth [nm]", "magma_r", 5e8)
+    assert np.abs(deep.colours()[deep.steps(high)].astype(int) - on_palette(high, 5e8, name="magma_r")).max() <= 7
     assert off.max() <= 7 and np.array_equal(paint.colours()[0], on_palette(np.zeros(1), 1.0, name="magma_r")[0])
     assert [rounded_up(x) for x in (0.011, 0.02, 0.3, 1.0, 5.1, 700)] == pytest.approx([0.02, 0.02, 0.5, 1, 10, 1000])
     assert np.all(Paint("worn depth [nm]", "magma_r", 0.0).colours() == paint.colours()[0])

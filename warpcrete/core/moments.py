@@ -23,7 +23,11 @@ def on_host(found: Any) -> Any:
     if not isinstance(found, wp.array):
         return found
     # On a CPU `numpy` gives the array itself, which the run goes on with.
-    return found.numpy().copy() if found.device.is_cpu else found.numpy()
+    return found.numpy() if _is_on_gpu(found) else found.numpy().copy()
+
+
+def _is_on_gpu(array: wp.array) -> bool:
+    return bool(wp.get_device(array.device).is_cuda)
 
 
 class Pool:
@@ -119,7 +123,7 @@ def moment_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Mome
     found = latest.moment.found
     new = {name: source() for name, source in sources.items() if name not in found}
     arrays = {name: value for name, value in new.items()
-              if isinstance(value, wp.array) and value.device.is_cuda and value.size}  # fmt: skip
+              if isinstance(value, wp.array) and value.size and _is_on_gpu(value)}  # fmt: skip
     found |= {name: on_host(value) for name, value in new.items() if name not in arrays}
     if arrays:
         found |= dict.fromkeys(arrays, Arriving(arrays, latest.pool))

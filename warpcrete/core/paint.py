@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEPS, A_DECADE = 1536, 128
+STEPS, A_DECADE = 2048, 128
 """Of the values that paint tells apart, in all and from one to ten times it."""
 LEAST = 1e-6
 """The smallest of them, as read; what is less is shown as nothing."""

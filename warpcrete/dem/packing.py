@@ -255,6 +255,8 @@ class _Growth:
                 met = met + 1 if abs(error) < 0.03 * pressure else 0
                 if met == 4:
                     break
+                if met:
+                    gain, aside = 1.0, 0
                 if below is not None and below != (error > 0):
                     least, gain, aside = 0.5 * least, max(1.0, 0.5 * gain), 0
                 elif abs(error) > 0.03 * pressure:

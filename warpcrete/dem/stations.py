@@ -103,13 +103,13 @@ def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     if state.sphere_count:
         _probe(model, state)
         pair_push, wall_push, wall_arm = _arrays(state)
-        recorded = state.launches(state.batch.version)
-        if "body stresses" not in recorded:
+        recorded, what = state.launches(state.batch.version), f"body stresses in {unit!r}"
+        if what not in recorded:
             given = {"s": state.index, "scale": 1 / (FINEST * unit), "pair_push": pair_push, "wall_push": wall_push,
                      "wall_arm": wall_arm, "stress": stress}  # fmt: skip
-            recorded["body stresses"] = at_once([_stage(state, stress_probe(model.scalar), state.sphere_count, given)],
+            recorded[what] = at_once([_stage(state, stress_probe(model.scalar), state.sphere_count, given)],
                                                 state.batch.device)  # fmt: skip
-        recorded["body stresses"]()
+        recorded[what]()
     return stress
 
 

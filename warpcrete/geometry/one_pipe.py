@@ -55,7 +55,7 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     """Refuse a pipe that comes back past the plane across it at the arc length `begin` [m], as far as it is less than
     `aside` [m] beside the axis there, or past the endless plane across its end.
     """
-    s = np.linspace(0, axis.length, 400)
+    s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)
     start = axis.at(begin)[0]
     reach = bores.largest

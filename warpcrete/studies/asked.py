@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,11 @@ def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | No
     raises.
     """
     name, module = module_of(scene)
+    if not isinstance(vary, Mapping):
+        refuse("vary", vary, "must be a mapping of parameters to lists of values", 'vary={"velocity": [0.3, 0.5]}')
+    for key, values in vary.items():
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            refuse(key, values, "must be a list of values to vary over", f'vary={{"{key}": [{values!r}, ...]}}')
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
     return run_study(name, module, vary, base=given, out=Path(out) if out else next_folder("study"), **settings)
 

@@ -35,9 +35,9 @@ class Segregated:
 
     def __post_init__(self) -> None:
         densest = SUSPENSIONS["spheres"][1]
-        between("aggregate", self.fraction, 0, np.nextafter(densest, 0), "", "less than the densest packing")
-        if self.fraction == 0:
-            refuse("aggregate", self.fraction, "must be above 0: without aggregate nothing segregates")
+        if not 0 < self.fraction < densest:
+            refuse("aggregate", self.fraction, f"must be above 0 and below the densest packing, {densest:g}",
+                   "some 0.3 to 0.45 of the volume")  # fmt: skip
         least = max(-4.0, -4 / 3 * (densest / self.fraction - 1))
         most = min(4 / 3, 4 * (densest / self.fraction - 1))
         if not least < self.index < most:
@@ -67,7 +67,8 @@ class Segregated:
         concrete, line = self.concrete, self.line
         slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
         edge, flow, plug = line.radius - line.slip_thickness, np.pi * line.radius**2 * slip, line.radius
-        for zone, low, high in zip(self.zones, (0.0, 0.5 * line.radius), (0.5 * line.radius, edge), strict=True):
+        border = min(0.5 * line.radius, edge)
+        for zone, low, high in zip(self.zones, (0.0, border), (border, edge), strict=True):
             begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
             if begin < high:
                 # The integral of pi r^2 times the shear rate, (stress r / R - yield stress) / viscosity.

@@ -6,6 +6,8 @@ axis, which goes with it. What has left comes in again.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...geometry.meshes import enclosed, signed_distance
@@ -25,8 +27,8 @@ over the radius.
 """
 ABREAST = 2
 """Particles of a cell along each axis."""
-PLACES = 200
-"""Along the axis, at which the room that it needs is looked for."""
+PLACES, A_RADIUS = 200, 8
+"""Along the axis, at which the room that it needs is looked for: at least, and along a radius of the bore."""
 
 
 class Frame:
@@ -60,7 +62,9 @@ def part_room(scene: PartScene) -> Room:
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, PLACES))
+    # As many as a turn needs that is the farthest the line goes, however long it is.
+    count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
+    points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.inward(points)
     # A section reaches as far along an axis as it is not square to it.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
