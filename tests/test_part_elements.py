@@ -213,11 +213,14 @@ def test_a_column_at_rest_bears_what_stands_on_it(device, wall):
     full = np.isfinite(found[:, 1])
     above = [200 + 9.81 * mass[z > place - scene.stations.origin].sum() / area for place in scene.stations.places[full]]
     assert full.sum() >= 3
-    assert found[full, 1] == pytest.approx(above, rel=0.02)  # measured 0.6 %: stones are counted by their centres
+    # Of twelve packings 0.6 to 2.2 %: stones are counted by their centres.
+    assert found[full, 1] == pytest.approx(above, rel=0.03)
     by_bodies = along(scene.stations, simulation)
     assert np.array_equal(np.isfinite(by_bodies[:, 0]), full)
-    assert by_bodies[full] == pytest.approx(found[full, :2], rel=0.04)  # measured 3.0 %, of one slice
-    assert by_bodies[full].sum(axis=0) == pytest.approx(found[full, :2].sum(axis=0), rel=0.01)
+    # Of twelve packings 1.7 % along the pipe, and 8 % of the mean normal stress of one slice, 1.7 % of all together.
+    assert by_bodies[full, 1] == pytest.approx(found[full, 1], rel=0.025)
+    assert by_bodies[full, 0] == pytest.approx(found[full, 0], rel=0.12)
+    assert by_bodies[full].sum(axis=0) == pytest.approx(found[full, :2].sum(axis=0), rel=0.025)
     solids = state.bodies.size.numpy() ** 3 * math.pi / 6
     lower = scene.stations.edges[-2]
     inside = z + scene.stations.origin < lower
