@@ -181,7 +181,7 @@ def test_a_line_by_elements_runs_its_bore_and_knows_it_by_what_the_file_holds(tm
     assert [name.split("-")[0] for name in third["wall_time"]] == ["bore"]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["cylinder", "cone"])
 def test_a_mesh_takes_what_the_same_shape_by_formula_does(device, tmp_path, shape):
     """Means of two packings; six of each scatter by 2 to 5 %, and their means agreed within 0.5 %."""
