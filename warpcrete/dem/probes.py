@@ -67,21 +67,21 @@ class BodySums:
 def body_sums(model: Model, state: State) -> BodySums:
     """Energies, momentum and drive forces of all bodies."""
     if state.body_count:
-        _run(state, "bodies", lambda: _body_stages(model, state))
+        launched(state, "bodies", lambda: _body_stages(model, state))
     return _read_bodies(state)
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
     """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
     if state.sphere_count:
-        _run(state, "contacts", lambda: _contact_stages(model, state))
+        launched(state, "contacts", lambda: _contact_stages(model, state))
     return _read_contacts(state, coordination)
 
 
 def both_sums(model: Model, state: State) -> tuple[BodySums, ContactSums]:
     """Sums over bodies and over contacts, which a GPU makes with one launch, and the host waits for once."""
     if state.body_count:
-        _run(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
+        launched(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
     return _read_bodies(state), _read_contacts(state, False)
 
 
@@ -126,7 +126,7 @@ def _read_contacts(state: State, coordination: bool) -> ContactSums:
 def _body_stages(model: Model, state: State) -> list[Stage]:
     n = state.body_count
     values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
-    probe = _stage(state, column.body_probe(model.scalar), n, values=values)
+    probe = scene_stage(state, column.body_probe(model.scalar), n, values=values)
     return [probe, *_adding(state, "bodies", values, n, column.BODY_MAXIMA)]
 
 
@@ -145,12 +145,12 @@ def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
     partial, whole = column.column_kernels(maxima)
     return [
-        _stage(state, partial, (column.LANES, columns), values=values, rows=rows, lanes=lanes),
-        _stage(state, whole, columns, lanes=lanes, sums=_sums(state, what, columns)),
+        scene_stage(state, partial, (column.LANES, columns), values=values, rows=rows, lanes=lanes),
+        scene_stage(state, whole, columns, lanes=lanes, sums=_sums(state, what, columns)),
     ]
 
 
-def _stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
+def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
     """A launch over one scene of a batch; parameters that are not named are the batch's attributes of their names."""
     batch = state.batch
     given = {"s": state.index, **named}
@@ -158,7 +158,7 @@ def _stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
     return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
 
 
-def _run(state: State, what: str, make: Callable[[], list[Stage]]) -> None:
+def launched(state: State, what: str, make: Callable[[], list[Stage]]) -> None:
     """Launch the stages that `make` gives; recorded once, until an array of the batch's is another."""
     recorded = state.launches(state.batch.version)
     if what not in recorded:
@@ -178,7 +178,7 @@ def _probing(model: Model, state: State) -> list[Stage]:
     probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
     base = int(state.batch.rows["spheres"][state.index])
     return [
-        _stage(
+        scene_stage(
             state, probe, last - first, first=base + first, last=base + last, values=values, pair_normal_force=forces
         )
         for first, last in pairwise(state.chunks)
@@ -186,7 +186,7 @@ def _probing(model: Model, state: State) -> list[Stage]:
 
 
 def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
-    _run(state, "contact rows", lambda: _probing(state.model, state))
+    launched(state, "contact rows", lambda: _probing(state.model, state))
     return _contact_rows(state)
 
 
@@ -208,13 +208,15 @@ def largest_forces(model: Model, state: State) -> wp.array:
     loads = state.scratch("loads", (state.body_count,), model.scalar)
     loads.zero_()
     if state.sphere_count:
-        _run(state, "loads", lambda: [*_probing(model, state), _load_stage(model, state, loads)])
+        launched(state, "loads", lambda: [*_probing(model, state), _load_stage(model, state, loads)])
     return loads
 
 
 def _load_stage(model: Model, state: State, loads: wp.array) -> Stage:
     forces = _contact_rows(state)[1]
-    return _stage(state, column.load_probe(model.scalar), state.sphere_count, pair_normal_force=forces, loads=loads)
+    return scene_stage(
+        state, column.load_probe(model.scalar), state.sphere_count, pair_normal_force=forces, loads=loads
+    )
 
 
 def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

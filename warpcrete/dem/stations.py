@@ -12,17 +12,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.launching import DEFAULT_BLOCK, Stage, at_once, parameter_names
+from ..core.launching import Stage
 from ..geometry.axis import Axis
 from ..kernels.common.types import types
 from ..kernels.dem.stations import STRESSES, force_probe, stress_probe
 from .model import Model
-from .probes import chunks_of, pairs_of
+from .probes import chunks_of, launched, pairs_of, scene_stage
 from .slices import FEWEST, Stations
 from .state import State
 
@@ -102,15 +101,15 @@ def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     stress.zero_()
     if state.sphere_count:
         _probe(model, state)
-        pair_push, wall_push, wall_arm = _arrays(state)
-        recorded, what = state.launches(state.batch.version), f"body stresses in {unit!r}"
-        if what not in recorded:
-            given = {"s": state.index, "scale": 1 / (FINEST * unit), "pair_push": pair_push, "wall_push": wall_push,
-                     "wall_arm": wall_arm, "stress": stress}  # fmt: skip
-            recorded[what] = at_once([_stage(state, stress_probe(model.scalar), state.sphere_count, given)],
-                                                state.batch.device)  # fmt: skip
-        recorded[what]()
+        scale = 1 / (FINEST * unit)
+        launched(state, f"body stresses in {unit!r}", lambda: [_stress_stage(model, state, scale, stress)])
     return stress
+
+
+def _stress_stage(model: Model, state: State, scale: float, stress: wp.array) -> Stage:
+    pair_push, wall_push, wall_arm = _arrays(state)
+    return scene_stage(state, stress_probe(model.scalar), state.sphere_count, scale=scale, pair_push=pair_push,
+                       wall_push=wall_push, wall_arm=wall_arm, stress=stress)  # fmt: skip
 
 
 def stresses_along(
@@ -201,7 +200,7 @@ def _logarithmic_mean(a: float, b: float) -> float:
 
 @dataclass(frozen=True)
 class Seen:
-    """What is measured by, of one moment: arrays on the host, none of them one that the run goes on with."""
+    """What is measured by: arrays on the host, which on a CPU are the run's own."""
 
     model: Model
     chunks: list[int] | None
@@ -216,9 +215,7 @@ def seen_of(model: Model, state: State) -> Seen:
     _probe(model, state)
     arrays = {path: attrgetter(path)(state) for path in SEEN}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
-    # On a CPU `numpy` gives the array itself.
-    copied = {name: each.numpy().copy() if each.device.is_cpu else each.numpy() for name, each in arrays.items()}
-    return Seen(model, chunks_of(state), copied)
+    return Seen(model, chunks_of(state), {name: each.numpy() for name, each in arrays.items()})
 
 
 class _Spheres:
@@ -358,23 +355,16 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 def _probe(model: Model, state: State) -> None:
     """Fill the arrays of forces."""
-    f, batch = model.features, state.batch
+    launched(state, "forces", lambda: _force_stages(model, state))
+
+
+def _force_stages(model: Model, state: State) -> list[Stage]:
+    f = model.features
     pair_push, wall_push, wall_arm = _arrays(state)
     kernel = force_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
-    base = int(batch.rows["spheres"][state.index])
-    stages = []
-    for first, last in pairwise(state.chunks):
-        given: dict[str, Any] = {"s": state.index, "first": base + first, "last": base + last, "pair_push": pair_push,
-                                 "wall_push": wall_push, "wall_arm": wall_arm}  # fmt: skip
-        stages.append(_stage(state, kernel, last - first, given))
-    recorded = state.launches(batch.version)
-    if "forces" not in recorded:
-        recorded["forces"] = at_once(stages, batch.device)
-    recorded["forces"]()
-
-
-def _stage(state: State, kernel: Any, dim: int, given: dict[str, Any]) -> Stage:
-    """A launch over one scene of a batch; parameters that are not given are the batch's attributes of their names."""
-    batch = state.batch
-    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
-    return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
+    base = int(state.batch.rows["spheres"][state.index])
+    return [
+        scene_stage(state, kernel, last - first, first=base + first, last=base + last, pair_push=pair_push,
+                    wall_push=wall_push, wall_arm=wall_arm)
+        for first, last in pairwise(state.chunks)
+    ]  # fmt: skip
