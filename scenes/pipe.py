@@ -53,8 +53,8 @@ LEAK = 0.01
 """Part of the aggregates that may slip past the plug."""
 LAST_OF_PAUSE = 0.05
 """Part of the last pause that is left when the rest is put in."""
-SLICES = 2.0
-"""Per diameter, in which recordings show the stress along a round pipe."""
+SLICES, MOST_SLICES = 2.0, 1000
+"""Per diameter, and in all, in which recordings show the stress along a round pipe."""
 BALANCED = 0.01
 """Part of the largest impulse that may be missing in the balance of momentum."""
 
@@ -214,9 +214,11 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:
-    """Slices half as long as wide, from where the piston begins to where it has pushed the concrete."""
+    """Slices half as long as wide (longer in a long pipe), from where the piston begins to where it has pushed the
+    concrete.
+    """
     end = given.length + given.distance
-    edges = np.linspace(0, end, 1 + max(1, round(SLICES * end / given.diameter)))
+    edges = np.linspace(0, end, 1 + round(min(max(1.0, SLICES * end / given.diameter), MOST_SLICES)))
     return Stations(axis=axis, bores=Bores((0.0,), (given.radius,)), edges=tuple(edges.tolist()), each_row=False)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..core.concretes import is_file
-from ..core.errors import refuse
+from ..core.errors import between, refuse
 from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
@@ -206,6 +206,9 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight
     narrows = given.outlet_diameter is not None
+    if narrows:
+        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
+                "make it in several steps")  # fmt: skip
     # The cone lies in the middle of a straight unit, and a stretch behind a bend.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):

@@ -178,7 +178,12 @@ def read_line(name: Path | str) -> PipeLine:
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
-    """What such a file holds, and its path; a concrete's file is sought beside it."""
+    """What such a file holds, and its path; a concrete's file is sought beside it.
+
+    Raises :class:`SceneError` for what is no file, or none of such lines.
+    """
+    if not isinstance(name, (str, Path)):
+        refuse("line", name, "must be the name of a file", "in Python line_of makes one of a mapping")
     path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
     if not path.is_file():
         refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")

@@ -15,6 +15,9 @@ from .axis import Axis, Line
 from .bores import Bores
 from .lines import PipeLine, line_file
 
+LONGEST = 10_000
+"""Diameters, of a pipe that is run."""
+
 
 def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
     """Flow [m3/s] and concrete that the file of the `line` among a scene's parameters has; nothing without one, or
@@ -53,8 +56,11 @@ def joined(axis: Axis) -> Axis:
 
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
     """Refuse a pipe that comes back past the plane across it at the arc length `begin` [m], as far as it is less than
-    `aside` [m] beside the axis there, or past the endless plane across its end.
+    `aside` [m] beside the axis there, or past the endless plane across its end; or one too long to run at all.
     """
+    if axis.length > LONGEST * 2 * bores.largest:
+        refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "cut it: the command line adds "
+               "up a line's parts")  # fmt: skip
     s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)
     start = axis.at(begin)[0]
