@@ -166,8 +166,13 @@ def _run(
     module = modules()[scene]
     if (folder / "study.json").is_file():
         return resume_study(folder, module, processes=processes, progress=tell)
-    listed = [Case(f"{place + 1:03d}", _meant(module, case), _meant(module, case)) for place, case in enumerate(cases)]
-    write_json(folder.with_suffix(".json"), {case.name: key_of(group, each) for case, each in zip(listed, cases)})
+    same: dict[str, list[Mapping[str, Any]]] = {}
+    for case in cases:  # several rows go through the reference case, each by a value that is the default
+        same.setdefault(repr(module.scene.declared(_meant(module, case))), []).append(case)
+    first = [_meant(module, alike[0]) for alike in same.values()]
+    listed = [Case(f"{place + 1:03d}", each, each) for place, each in enumerate(first)]
+    keys = {case.name: [key_of(group, each) for each in alike] for case, alike in zip(listed, same.values())}
+    write_json(folder.with_suffix(".json"), keys)
     return run_listed(scene, module, listed, out=folder, device=found.device, processes=processes, rerun=False,
                       usd=False, figure=False, progress=tell)  # fmt: skip
 
@@ -180,7 +185,8 @@ def _meant(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
 def _take(found: Reproduction, group: str, study: Study) -> None:
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
-        if case.name in study.results:
-            found.results[keys[case.name]] = study.results[case.name]
-        elif case.name in study.failures:
-            found.failures[keys[case.name]] = study.failures[case.name]
+        for key in keys[case.name]:
+            if case.name in study.results:
+                found.results[key] = study.results[case.name]
+            elif case.name in study.failures:
+                found.failures[key] = study.failures[case.name]
