@@ -81,20 +81,21 @@ def vector_functions(scalar):
         # `twist` about the normal, and keep the length (the plane turns, it does not stretch).
         one = scalar(1.0)
         square = wp.length_sq(v)
-        if square == scalar(0.0):
-            return v
         out = wp.dot(v, n)
         u = v - out * n
         u = u + twist * wp.cross(n, u)
         # |u|^2 = |v|^2 (1 - shrink)
-        tilt = out * out / square
+        tilt = scalar(0.0)
+        if square > scalar(0.0):
+            tilt = out * out / square
         shrink = tilt - (one - tilt) * twist * twist
-        if wp.abs(shrink) < scalar(1.0e-5):
-            # 1 / sqrt(1 - shrink), to the last digit of double precision.
-            return u * (one + shrink * (scalar(0.5) + shrink * (scalar(0.375) + shrink * scalar(0.3125))))
-        after = wp.length_sq(u)
-        if after > scalar(0.0):
-            u = u * wp.sqrt(square / after)
-        return u
+        # 1 / sqrt(1 - shrink), to the last digit of double precision.
+        longer = one + shrink * (scalar(0.5) + shrink * (scalar(0.375) + shrink * scalar(0.3125)))
+        if wp.abs(shrink) >= scalar(1.0e-5):
+            after = wp.length_sq(u)
+            longer = one
+            if after > scalar(0.0):
+                longer = wp.sqrt(square / after)
+        return longer * u
 
     return SimpleNamespace(xyz=xyz, pack=pack, safe_normalize=safe_normalize, rotated_with_normal=rotated_with_normal)

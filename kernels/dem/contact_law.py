@@ -86,9 +86,10 @@ def contact_functions(scalar):
         trial = old + (stiffness * loading) * rate
         square = wp.length_sq(trial)
         slips = square > limit * limit
-        new = trial
+        kept = scalar(1.0)
         if slips:
-            new = trial * (limit / wp.sqrt(square))
+            kept = limit / wp.sqrt(square)
+        new = kept * trial
         lost = scalar(0.0)
         if stiffness > scalar(0.0):
             lost = scalar(0.5) * wp.dot(old + new, trial - new) / stiffness

@@ -6,9 +6,9 @@ see `links`.) A pair is always evaluated in the order of its spheres' permanent 
 store the same bits.
 
 A row of the list is gone through twice: first the distances, which leave a bit for each contact, then the
-contacts, one bit after the other. The second loop does nothing but contacts: there is no branch to mispredict. The bits
-of the first BLOCK entries are kept for the next step, so that contacts which have parted are known without reading the
-history of all that never touched.
+contacts, one bit after the other, which are gathered into lanes (see `lanes`) and evaluated when these are full. The
+bits of the first BLOCK entries are kept for the next step, so that contacts which have parted are known without reading
+the history of all that never touched.
 """
 
 import functools
@@ -17,9 +17,10 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.rows import row_functions
-from ..common.types import SPAN, cpu_flags, types
+from ..common.types import SPAN, cpu_flags, lowest_bit, types
 from .bond_parallel import bond_functions
-from .pairs import ALL_TOUCHED, BLOCK, closeness_function, parting_function, touching_function
+from .lanes import LANES, evaluate_function, gather_function, give_function, layout
+from .pairs import ALL_TOUCHED, BLOCK, closeness_function, parting_function
 from .structs import DT_PREVIOUS, array_structs
 
 
@@ -30,7 +31,9 @@ def contact_options(half: bool) -> dict:
 
 
 @functools.cache
-def contact_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
+def contact_kernel(
+    scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
+):
     """Kernel over spheres of a half list: adds contact forces [N] and moments about sphere centres [N m].
 
     With `dissipation` it also adds up what energy friction, dashpots and breaking bonds take [J]. The launch owns
@@ -41,11 +44,15 @@ def contact_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcy
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
     Parameters = law.functions(scalar).Parameters
     Bond = bond_functions(scalar).Bond
-    touching = touching_function(scalar, law, history, bonds, healing, dissipation)
     close_entries = closeness_function(scalar, bonds, subcycling)
     part_entries = parting_function(scalar, law, history, healing, subcycling, dissipation)
+    gather = gather_function(scalar, law, history, bonds, healing, mixed)
+    evaluate = evaluate_function(scalar, law, history, bonds, dissipation, mixed)
+    give = give_function(scalar, law, history, bonds, dissipation)
+    places = layout(law.rolls, history, bonds)
+    numbers, integers = places.size, places.integer_size
     rows = row_functions(scalar)
-    read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
+    read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
@@ -62,47 +69,79 @@ def contact_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcy
         spheres: Spheres,
         pairs: Pairs,
     ):
-        begin_i = first + wp.tid() * SPAN
-        for i in range(begin_i, wp.min(begin_i + SPAN, last)):
-            s = spheres.scene[i]
-            if flags[s, HALTED] != 0:
-                continue
-            base = scenes.row[s].spheres
-            dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
-            position_i = read_vec4(spheres.position, i)
-            velocity_i = read_vec4(spheres.velocity, i)
-            spin_i = read_vec3(spheres.spin, i)
-            row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-            force_i = t.vec3()
-            moment_i = t.vec3()
-            lost_i = wp.float64(0.0)
-            begin = scenes.row[s].pairs + pairs.start[i + s]
-            end = scenes.row[s].pairs + pairs.start[i + s + 1]
-            before = wp.int32(0)
-            if wp.static(history or healing):
-                before = spheres.touching[i]
-            for block in range(begin, end, BLOCK):
-                bits = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
-                if wp.static(history or healing):
-                    parted = wp.static(ALL_TOUCHED) & ~bits
-                    if block == begin:
-                        parted = parted & before
-                        if bits != before:
-                            spheres.touching[i] = bits
-                    lost_i += part_entries(
-                        spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3], block,
-                        end, parted,
-                    )  # fmt: skip
-                force, moment, taken = touching(
-                    spheres, pairs, pair_parameters, bond_parameters, scenes.row[s].bonds, row, base, first, last, i,
-                    block, bits, dt, position_i, velocity_i, spin_i,
+        columns = wp.zeros(shape=(numbers,), dtype=scalar)
+        ints = wp.zeros(shape=(integers,), dtype=wp.int32)
+        count = wp.int32(0)  # of lanes that are taken
+        used_law = wp.int32(0)
+        used_dt = scalar(0.0)
+        i = first + wp.tid() * SPAN - 1
+        end_i = wp.min(i + 1 + SPAN, last)
+        s = wp.int32(-1)
+        law, material, base = wp.int32(0), wp.int32(0), wp.int32(0)
+        begin, block, end, bits = wp.int32(0), wp.int32(0), wp.int32(0), wp.int32(0)
+        dt = scalar(0.0)
+        position_i, velocity_i, spin_i = t.vec4(), t.vec4(), t.vec3()
+        # Bit by bit of a block, block by block of a row, sphere by sphere, in one loop: what evaluates lanes is long,
+        # and stands in it once.
+        going = wp.bool(True)
+        while going:
+            full = wp.bool(False)
+            if bits != 0:
+                k = block + lowest_bit(bits)
+                bits = bits & (bits - 1)
+                gather(
+                    spheres, pairs, bond_parameters, scenes.row[s].bonds, law, base, i, k, position_i, velocity_i,
+                    spin_i, columns, ints, count,
                 )  # fmt: skip
-                force_i += force
-                moment_i += moment
-                lost_i += taken
-            if wp.static(dissipation):
-                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost_i
-            write_vec3(spheres.force, i, read_vec3(spheres.force, i) + force_i)
-            write_vec3(spheres.moment, i, read_vec3(spheres.moment, i) + moment_i)
+                used_law = law + material
+                used_dt = dt
+                count = count + 1
+                full = count == LANES
+            else:
+                block = block + BLOCK
+                if wp.static(dissipation):
+                    full = block < end  # energies of a row are added up in the order of its blocks
+                if block >= end:
+                    i = i + 1
+                    begin = 0
+                    block = 0
+                    end = 0
+                    going = i < end_i
+                    full = not going
+                    if going:
+                        full = spheres.scene[i] != s
+                        s = spheres.scene[i]
+                        if flags[s, HALTED] == 0:
+                            base = scenes.row[s].spheres
+                            material = spheres.material[i]
+                            law = scenes.row[s].laws + material * scenes.row[s].materials
+                            # The displacement that led here is that of the step before.
+                            dt = scalar(scenes.clock[s, DT_PREVIOUS])
+                            position_i = read_vec4(spheres.position, i)
+                            velocity_i = read_vec4(spheres.velocity, i)
+                            spin_i = read_vec3(spheres.spin, i)
+                            begin = scenes.row[s].pairs + pairs.start[i + s]
+                            end = scenes.row[s].pairs + pairs.start[i + s + 1]
+                            block = begin
+                if block < end:
+                    bits = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
+                    if wp.static(history or healing):
+                        parted = wp.static(ALL_TOUCHED) & ~bits
+                        if block == begin:
+                            before = spheres.touching[i]
+                            parted = parted & before
+                            if bits != before:
+                                spheres.touching[i] = bits
+                        lost = part_entries(
+                            spheres, pairs, pair_parameters, law, base, first, last, position_i[3], velocity_i[3],
+                            block, end, parted,
+                        )  # fmt: skip
+                        if wp.static(dissipation):
+                            if lost > wp.float64(0.0):
+                                spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+            if full and count > 0:
+                evaluate(columns, ints, pair_parameters, used_law, used_dt)
+                give(spheres, pairs, first, last, columns, ints, count)
+                count = 0
 
     return contacts

@@ -56,9 +56,12 @@ def pair_functions(scalar):
         distance = wp.length(offset)
         gap = distance - (position_i[3] + position_j[3])
         # Coincident centres have no direction: any fixed one will part them.
-        n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
+        per_distance = scalar(0.0)
+        upwards = scalar(1.0)
         if distance > scalar(0.0):
-            n = (sign / distance) * offset
+            per_distance = scalar(1.0) / distance
+            upwards = scalar(0.0)
+        n = (sign * per_distance) * offset + t.vec3(scalar(0.0), scalar(0.0), upwards)
         # The contact point halves the overlap.
         arm_i = position_i[3] + scalar(0.5) * gap
         arm_j = position_j[3] + scalar(0.5) * gap
@@ -70,8 +73,7 @@ def pair_functions(scalar):
         velocity = apart - wp.cross(sliding, n)
         twist = scalar(0.5) * dt * wp.dot(spins, n)
         pair.touch = sphere_touch(n, gap, velocity, twist, position_i[3], position_j[3], velocity_i[3], velocity_j[3])
-        if distance > scalar(0.0):
-            pair.touch.tilt = (dt / distance) * wp.cross(n, apart)
+        pair.touch.tilt = (dt * per_distance) * wp.cross(n, apart)
         pair.apart = apart
         pair.distance = distance
         pair.arm_i = arm_i
@@ -183,14 +185,66 @@ def broken_function(scalar):
 
 
 @functools.cache
+def bond_pull_functions(scalar, dissipation: bool):
+    """`bond_pull`: load of a pair's bond after a step, and what is left of the pair's contact."""
+    t = types(scalar)
+    PairTouch = pair_functions(scalar).PairTouch
+    bond = bond_functions(scalar)
+    Bond, bond_force, bond_energy = bond.Bond, bond.bond_force, bond.bond_energy
+    xyz = vector_functions(scalar).xyz
+
+    @wp.struct
+    class BondPull:
+        force: t.vec4  # shear vector and tension [N], nothing where it broke
+        moment: t.vec4  # bending vector and torsion [N m], likewise
+        total: t.vec3  # force on the first body [N]
+        bending: t.vec3  # moment on it [N m]
+        contact: scalar  # 0 where the bond broke and left a pair that does not touch, else 1
+        lost: scalar  # energy that contact and bond lose [J]
+        outcome: wp.int32  # 1, or how it broke
+
+    @wp.func
+    def bond_pull(
+        p: Bond, pair: PairTouch, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, lost: scalar, dt: scalar
+    ):
+        """`lost` is what the contact alone loses [J]."""
+        touch = pair.touch
+        n = touch.normal
+        # Distance now less distance before, without cancellation.
+        way = dt * pair.apart
+        came_from = pair.distance * n - way
+        stretch = wp.dot(way, pair.distance * n + came_from) / (pair.distance + wp.length(came_from))
+        held_force, held_moment, outcome = bond_force(p, touch, stretch, relative_spin, force, moment, dt)
+        pull = BondPull()
+        holds = scalar(1.0)
+        pull.contact = scalar(1.0)
+        pull.lost = lost
+        if outcome < 0:
+            holds = scalar(0.0)
+            # A bond that breaks may leave a pair that no longer touches: the contact's dashpot must not outlive it.
+            if touch.gap >= scalar(0.0):
+                pull.contact = scalar(0.0)
+                pull.lost = scalar(0.0)
+            if wp.static(dissipation):
+                pull.lost += bond_energy(p, touch, held_force, held_moment)
+        pull.force = holds * held_force
+        pull.moment = holds * held_moment
+        pull.total = xyz(pull.force) + pull.force[3] * n
+        pull.bending = xyz(pull.moment) + pull.moment[3] * n
+        pull.outcome = outcome
+        return pull
+
+    return SimpleNamespace(BondPull=BondPull, bond_pull=bond_pull)
+
+
+@functools.cache
 def bonded_function(scalar, healing: bool, dissipation: bool):
     """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
     PairTouch = pair_functions(scalar).PairTouch
-    bond = bond_functions(scalar)
-    Bond, bond_force, bond_energy = bond.Bond, bond.bond_force, bond.bond_energy
-    xyz = vector_functions(scalar).xyz
+    Bond = bond_functions(scalar).Bond
+    bond_pull = bond_pull_functions(scalar, dissipation).bond_pull
     rows = row_functions(scalar)
     read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
 
@@ -215,32 +269,18 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
                 kind = 1
                 pairs.bond[k] = 1
         if kind > 0:
-            touch = pair.touch
-            n = touch.normal
-            # Distance now less distance before, without cancellation.
-            way = dt * pair.apart
-            came_from = pair.distance * n - way
-            stretch = wp.dot(way, pair.distance * n + came_from) / (pair.distance + wp.length(came_from))
-            held_force, held_moment, outcome = bond_force(
-                parameters[first_kind + kind], touch, stretch, relative_spin, read_vec4(pairs.bond_force, k),
-                read_vec4(pairs.bond_moment, k), dt,
+            pull = bond_pull(
+                parameters[first_kind + kind], pair, relative_spin, read_vec4(pairs.bond_force, k),
+                read_vec4(pairs.bond_moment, k), lost, dt,
             )  # fmt: skip
+            outcome = pull.outcome
             if outcome < 0:
                 pairs.bond[k] = outcome
-                if wp.static(dissipation):
-                    if touch.gap >= scalar(0.0):
-                        lost = scalar(0.0)
-                    lost += bond_energy(parameters[first_kind + kind], touch, held_force, held_moment)
-                held_force = t.vec4()
-                held_moment = t.vec4()
-                # A bond that breaks may leave a pair that no longer touches: the contact's dashpot must not outlive
-                # it.
-                if touch.gap >= scalar(0.0):
-                    total = t.vec3()
-            write_vec4(pairs.bond_force, k, held_force)
-            write_vec4(pairs.bond_moment, k, held_moment)
-            total = total + xyz(held_force) + held_force[3] * n
-            moment = xyz(held_moment) + held_moment[3] * n
+            write_vec4(pairs.bond_force, k, pull.force)
+            write_vec4(pairs.bond_moment, k, pull.moment)
+            total = pull.contact * total + pull.total
+            moment = pull.bending
+            lost = pull.lost
         return total, moment, lost, outcome
 
     return bonded
@@ -280,81 +320,3 @@ def closeness_function(scalar, bonds: bool, subcycling: bool):
         return bits
 
     return close_entries
-
-
-@functools.cache
-def touching_function(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool):
-    """`touching`: contacts of some list entries, a bit each: their force on the sphere [N], its moment [N m], and the
-    energy that they lose [J].
-    """
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Spheres, Pairs = structs.Spheres, structs.Pairs
-    functions = law.functions(scalar)
-    Parameters, contact_force = functions.Parameters, functions.force
-    rolls = law.rolls
-    contact_moment = functions.moment if rolls else None
-    Bond = bond_functions(scalar).Bond
-    pair_touch = pair_functions(scalar).pair_touch
-    bonded, count_broken = bonded_function(scalar, healing, dissipation), broken_function(scalar)
-    rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
-
-    @wp.func
-    def touching(
-        spheres: Spheres, pairs: Pairs, pair_parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32, row: wp.int32, base: wp.int32, first: wp.int32,
-        last: wp.int32, i: wp.int32, block: wp.int32, bits: wp.int32, dt: scalar, position_i: t.vec4,
-        velocity_i: t.vec4, spin_i: t.vec3,
-    ):  # fmt: skip
-        force_i = t.vec3()
-        moment_i = t.vec3()
-        lost_i = wp.float64(0.0)
-        while bits != 0:
-            k = block + lowest_bit(bits)
-            bits = bits & (bits - 1)
-            entry = read_int(pairs.other, k)
-            j = base + decode(entry)
-            shared = j >= first and j < last
-            own = entry >= 0 or shared  # this copy of the pair is the one that counts
-            sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
-            spin_j = read_vec3(spheres.spin, j)
-            position_j, velocity_j = read_vec4(spheres.position, j), read_vec4(spheres.velocity, j)
-            pair = pair_touch(position_i, velocity_i, spin_i, position_j, velocity_j, spin_j, sign, dt)
-            old_history = t.vec3()
-            if wp.static(history):
-                old_history = read_vec3(pairs.history, k)
-            total, new_history, lost = contact_force(
-                pair_parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
-            )
-            if wp.static(history):
-                write_vec3(pairs.history, k, new_history)
-            bond_moment = t.vec3()
-            if wp.static(bonds):
-                total, bond_moment, lost, outcome = bonded(
-                    pairs, bond_parameters, first_bond, k, pair, sign * (spin_j - spin_i), total, lost, dt
-                )
-            if wp.static(rolls):
-                held_back, new_rolling, lost_rolling = contact_moment(
-                    pair_parameters[row + read_int(spheres.material, j)], pair.touch, sign * (spin_j - spin_i),
-                    read_vec3(pairs.rolling, k), dt,
-                )  # fmt: skip
-                write_vec3(pairs.rolling, k, new_rolling)
-                bond_moment = bond_moment + held_back
-                lost += lost_rolling
-            if wp.static(bonds):
-                if outcome < 0 and own:
-                    count_broken(spheres, i, outcome)
-            if wp.static(dissipation):
-                if own:
-                    lost_i += wp.float64(lost)
-            turn = wp.cross(pair.touch.normal, total)
-            force_i = force_i + sign * total
-            moment_i = moment_i + pair.arm_i * turn + sign * bond_moment
-            if shared:
-                write_vec3(spheres.force, j, read_vec3(spheres.force, j) - sign * total)
-                other_moment = read_vec3(spheres.moment, j) + pair.arm_j * turn - sign * bond_moment
-                write_vec3(spheres.moment, j, other_moment)
-        return force_i, moment_i, lost_i
-
-    return touching

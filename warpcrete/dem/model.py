@@ -29,6 +29,8 @@ class Features:
     """Of contacts between bodies."""
     wall_law: type[ContactLaw]
     """Of contacts with walls."""
+    mixed: bool
+    """Bodies are of several materials."""
     history: bool
     """Contacts between bodies remember their shear."""
     bonds: bool
@@ -127,6 +129,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
     features = Features(
         pair_law=type(pair_laws[0]),
         wall_law=type(wall_laws[0]),
+        mixed=len(of_bodies) > 1,
         history=any(c.has_history for c in pair_laws),
         bonds=bool(bond_kinds),
         healing=scene.bonds is not None and scene.bonds.healing,

@@ -88,7 +88,7 @@ def _full_step(batch: Batch) -> list[Stage]:
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
     """Forces on a chunk of spheres of a CPU: by each other, by planes and pipes, by meshes."""
     b, f = batch, batch.features
-    contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
+    contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
     if f.analytic:
         walls = wall_kernel(b.scalar, f.wall_law, f.dissipation, f.wear)

@@ -109,7 +109,7 @@ class HertzMindlin(ContactLaw):
             vn = wp.dot(touch.velocity, n)
             vs = touch.velocity - vn * n
             before = overlap + vn * dt
-            kept = history
+            kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
                 # What the spring held less what it holds with the new stiffness: the same force on a stiffer one
@@ -118,17 +118,15 @@ class HertzMindlin(ContactLaw):
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))
                 if ratio < scalar(1.0) and p.unloading == RESCALE:
-                    kept = ratio * history
+                    kept = ratio
                     released = stored * ratio * (scalar(1.0) - ratio)
-            new_history, slips, lost = shear_spring(touch, kept, ks, p.friction * spring, dt)
+            new_history, slips, lost = shear_spring(touch, kept * history, ks, p.friction * spring, dt)
             c = scalar(wp.static(viscous)) * p.damping
             cn = c * wp.sqrt(kn * touch.mass)
-            total = new_history - (spring - cn * vn) * n
-            lost += released + cn * vn * vn * dt
+            cs = zero
             if not slips:
                 cs = c * wp.sqrt(ks * touch.mass)
-                total = total + cs * vs
-                lost += cs * wp.length_sq(vs) * dt
-            return total, new_history, lost
+            lost += released + (cn * vn * vn + cs * wp.length_sq(vs)) * dt
+            return new_history - (spring - cn * vn) * n + cs * vs, new_history, lost
 
         return {"force": force, "stiffness": stiffness, "energy": energy}

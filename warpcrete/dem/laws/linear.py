@@ -89,13 +89,13 @@ class Contact(ContactLaw):
             if (p.dashpot & 1) != 0:
                 dashpot = wp.max(dashpot, -spring)
             lost -= dashpot * vn * dt
-            total = new_history - (spring + dashpot) * n
+            vs = touch.velocity - vn * n
+            cs = zero
             if p.shear_damping_ratio > zero:
-                if not (slips and (p.dashpot & 2) != 0):
-                    vs = touch.velocity - vn * n
-                    cs = scalar(2.0) * p.shear_damping_ratio * wp.sqrt(touch.mass * ks)
-                    total = total + cs * vs
-                    lost += cs * wp.length_sq(vs) * dt
-            return total, new_history, lost
+                cs = scalar(2.0) * p.shear_damping_ratio * wp.sqrt(touch.mass * ks)
+            if slips and (p.dashpot & 2) != 0:
+                cs = zero
+            lost += cs * wp.length_sq(vs) * dt
+            return new_history - (spring + dashpot) * n + cs * vs, new_history, lost
 
         return {"force": force, "stiffness": stiffness, "energy": energy}

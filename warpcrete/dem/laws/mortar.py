@@ -160,18 +160,15 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
 
     @wp.func
     def moment(p: Parameters, touch: Touch, turning: t.vec3, history: t.vec3, dt: scalar):
-        zero = scalar(0.0)
-        total = zero * history
-        held = zero * history
-        lost = zero
-        if p.bending > zero and touch.gap < zero:
-            kr, cr = bending(p, touch)
-            limit = p.bending * p.yield_stress * area(touch) * touch.smaller_radius
-            rate = turning - wp.dot(turning, touch.normal) * touch.normal
-            held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
-            total = held + cr * rate
-            lost += cr * wp.length_sq(rate) * dt
-        return total, held, lost
+        bears = scalar(0.0)
+        if p.bending > scalar(0.0) and touch.gap < scalar(0.0):
+            bears = scalar(1.0)
+        kr, cr = bending(p, touch)
+        limit = p.bending * p.yield_stress * area(touch) * touch.smaller_radius
+        rate = turning - wp.dot(turning, touch.normal) * touch.normal
+        held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
+        lost += cr * wp.length_sq(rate) * dt
+        return bears * (held + cr * rate), bears * held, bears * lost
 
     @wp.func
     def moment_energy(p: Parameters, touch: Touch, history: t.vec3):

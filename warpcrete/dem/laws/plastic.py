@@ -81,9 +81,10 @@ class PlasticMortar(BinghamMortar):
             """A force that turns with the pair, as long as it was."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
+            longer = scalar(1.0)
             if square > scalar(0.0):
-                after = after * wp.sqrt(square / wp.length_sq(after))
-            return after
+                longer = wp.sqrt(square / wp.length_sq(after))
+            return longer * after
 
         @wp.func
         def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
@@ -110,11 +111,13 @@ class PlasticMortar(BinghamMortar):
                 loading = overlap / -vn
             old = turned(touch, history)
             trial = old + (stiff * loading) * touch.velocity
-            held = trial
-            lost = zero
+            kept = scalar(1.0)
             square = wp.length_sq(trial)
             if square > limit * limit:
-                held = trial * (limit / wp.sqrt(square))
+                kept = limit / wp.sqrt(square)
+            held = kept * trial
+            lost = zero
+            if square > limit * limit:
                 lost = scalar(0.5) * wp.dot(old + held, trial - held) / stiff
             spring = shell_stiffness(p, touch) * overlap + core - pull
             total = held + drag * touch.velocity - (spring - cn * vn) * n

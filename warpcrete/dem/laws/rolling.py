@@ -94,14 +94,16 @@ class RollingResistance(ContactLaw):
             limit = p.rolling_friction * touch.reduced_radius * k[0] * wp.max(-touch.gap, zero)
             rate = turning - wp.dot(turning, touch.normal) * touch.normal
             held, slips, lost = plane_spring(touch, rate, history, kr, limit, dt)
-            total = held
-            if not slips:
-                total = held + cr * rate
-                size = wp.length(total)
-                if size > limit:
-                    total = total * (limit / size)
-                lost += wp.dot(total - held, rate) * dt
-            return total, held, lost
+            drag = cr
+            if slips:
+                drag = zero
+            total = held + drag * rate
+            size = wp.length(total)
+            kept = scalar(1.0)
+            if size > limit and not slips:
+                kept = limit / size
+            total = kept * total
+            return total, held, lost + wp.dot(total - held, rate) * dt
 
         @wp.func
         def moment_energy(p: Parameters, touch: Touch, history: t.vec3):

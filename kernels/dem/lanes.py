@@ -1,0 +1,306 @@
+"""Contacts of a CPU, as many at a time as a vector register takes.
+
+What a contact needs is gathered into columns, one for each number, in which every one of LANES contacts has its place.
+The law is then worked out by a loop over these places that touches nothing but columns, so that the compiler turns it
+into vector instructions: eight contacts at a time in single precision, four in double. What comes of it is handed
+out contact by contact, in the order of the list.
+
+The loop stays one of vectors only where nothing in it is a branch that assigns a vector or a struct: functions return
+those in pairs of numbers, which a compiler does not widen. Laws therefore choose between numbers, and multiply.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.rows import row_functions
+from ..common.types import types
+from .bond_parallel import UNBONDED, bond_functions
+from .pairs import bond_pull_functions, broken_function, decode, pair_functions
+from .structs import array_structs
+
+LANES = wp.constant(32)
+
+
+@functools.cache
+def column_functions(scalar):
+    """`get3`, `get4`, `put3`, `put4` and those of single numbers: what stands in columns from `at` on in a lane."""
+    t = types(scalar)
+    Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
+
+    @wp.func_native("return columns.data[at + lane];")
+    def get(columns: Columns, at: wp.int32, lane: wp.int32) -> scalar: ...
+
+    @wp.func_native("columns.data[at + lane] = value;")
+    def put(columns: Columns, at: wp.int32, lane: wp.int32, value: scalar): ...
+
+    @wp.func_native("return columns.data[at + lane];")
+    def get_int(columns: Ints, at: wp.int32, lane: wp.int32) -> wp.int32: ...
+
+    @wp.func_native("columns.data[at + lane] = value;")
+    def put_int(columns: Ints, at: wp.int32, lane: wp.int32, value: wp.int32): ...
+
+    @wp.func
+    def get3(columns: Columns, at: wp.int32, lane: wp.int32):
+        return t.vec3(get(columns, at, lane), get(columns, at + LANES, lane), get(columns, at + 2 * LANES, lane))
+
+    @wp.func
+    def get4(columns: Columns, at: wp.int32, lane: wp.int32):
+        v = get3(columns, at, lane)
+        return t.vec4(v[0], v[1], v[2], get(columns, at + 3 * LANES, lane))
+
+    @wp.func
+    def put3(columns: Columns, at: wp.int32, lane: wp.int32, value: t.vec3):
+        put(columns, at, lane, value[0])
+        put(columns, at + LANES, lane, value[1])
+        put(columns, at + 2 * LANES, lane, value[2])
+
+    @wp.func
+    def put4(columns: Columns, at: wp.int32, lane: wp.int32, value: t.vec4):
+        put3(columns, at, lane, t.vec3(value[0], value[1], value[2]))
+        put(columns, at + 3 * LANES, lane, value[3])
+
+    return SimpleNamespace(
+        get=get, put=put, get_int=get_int, put_int=put_int, get3=get3, put3=put3, get4=get4, put4=put4
+    )
+
+
+@functools.cache
+def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
+    """Where the columns of each quantity begin: `numbers` and `integers`, and how many places there are of each."""
+    numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
+    numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
+    numbers |= dict(bond=7, bond_force=4, bond_moment=4) if bonds else {}
+    numbers |= dict(force=3, moment_i=3, moment_j=3, lost=1)
+    begins, end = {}, 0
+    for name, width in numbers.items():
+        begins[name] = end
+        end += width * int(LANES)
+    integers = {name: k * int(LANES) for k, name in enumerate(("i", "j", "k", "law", "bond"))}
+    return SimpleNamespace(numbers=begins, size=end, integers=integers, integer_size=len(integers) * int(LANES))
+
+
+@functools.cache
+def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
+    """`gather`: what a contact of sphere i, the entry k of the list, needs, into a lane."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
+    rolls = law.rolls
+    Bond = bond_functions(scalar).Bond
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
+    f = column_functions(scalar)
+    put, put_int, put3, put4 = f.put, f.put_int, f.put3, f.put4
+    places = layout(rolls, history, bonds)
+    at, int_at = places.numbers, places.integers
+    _, write_bond = bond_columns(scalar, at["bond"]) if bonds else (None, None)
+
+    @wp.func
+    def gather(
+        spheres: Spheres, pairs: Pairs, bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32, row: wp.int32,
+        base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4, velocity_i: t.vec4, spin_i: t.vec3,
+        columns: Columns, ints: Ints, lane: wp.int32,
+    ):  # fmt: skip
+        """`row` is the first of the laws of the sphere's material, `base` the first sphere of the scene."""
+        entry = read_int(pairs.other, k)
+        j = base + decode(entry)
+        put_int(ints, wp.static(int_at["i"]), lane, i)
+        put_int(ints, wp.static(int_at["j"]), lane, j)
+        put_int(ints, wp.static(int_at["k"]), lane, k)
+        put4(columns, wp.static(at["position_i"]), lane, position_i)
+        put4(columns, wp.static(at["velocity_i"]), lane, velocity_i)
+        put3(columns, wp.static(at["spin_i"]), lane, spin_i)
+        put4(columns, wp.static(at["position_j"]), lane, read_vec4(spheres.position, j))
+        put4(columns, wp.static(at["velocity_j"]), lane, read_vec4(spheres.velocity, j))
+        put3(columns, wp.static(at["spin_j"]), lane, read_vec3(spheres.spin, j))
+        put(columns, wp.static(at["sign"]), lane, wp.where(entry < 0, scalar(-1.0), scalar(1.0)))
+        if wp.static(history):
+            put3(columns, wp.static(at["history"]), lane, read_vec3(pairs.history, k))
+        if wp.static(rolls):
+            put3(columns, wp.static(at["rolling"]), lane, read_vec3(pairs.rolling, k))
+        if wp.static(mixed):
+            put_int(ints, wp.static(int_at["law"]), lane, row + read_int(spheres.material, j))
+        if wp.static(bonds):
+            kind = read_int(pairs.bond, k)
+            if wp.static(healing):
+                if kind == UNBONDED:
+                    kind = 1
+                    pairs.bond[k] = 1
+            put_int(ints, wp.static(int_at["bond"]), lane, kind)
+            # One that is not bonded goes through the same numbers, which then count for nothing.
+            write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
+            put4(columns, wp.static(at["bond_force"]), lane, read_vec4(pairs.bond_force, k))
+            put4(columns, wp.static(at["bond_moment"]), lane, read_vec4(pairs.bond_moment, k))
+
+    return gather
+
+
+@functools.cache
+def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool, mixed: bool):
+    """`evaluate`: forces, moments, histories and bonds of all lanes.
+
+    Unless bodies are `mixed`, of several materials, all lanes have the same law: one that is read in the loop keeps it
+    from being one of vectors.
+    """
+    t = types(scalar)
+    Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
+    functions = law.functions(scalar)
+    Parameters, contact_force = functions.Parameters, functions.force
+    rolls = law.rolls
+    contact_moment = functions.moment if rolls else None
+    pair_touch = pair_functions(scalar).pair_touch
+    bond_pull = bond_pull_functions(scalar, dissipation).bond_pull
+    f = column_functions(scalar)
+    get, put, get_int, put_int = f.get, f.put, f.get_int, f.put_int
+    get3, put3, get4, put4 = f.get3, f.put3, f.get4, f.put4
+    places = layout(rolls, history, bonds)
+    at, int_at = places.numbers, places.integers
+    read_bond, _ = bond_columns(scalar, at["bond"]) if bonds else (None, None)
+
+    @wp.func
+    def evaluate(columns: Columns, ints: Ints, parameters: wp.array(dtype=Parameters), row: wp.int32, dt: scalar):
+        p = parameters[row]
+        lane = wp.int32(0)
+        while lane < LANES:
+            sign = get(columns, wp.static(at["sign"]), lane)
+            spin_i = get3(columns, wp.static(at["spin_i"]), lane)
+            spin_j = get3(columns, wp.static(at["spin_j"]), lane)
+            meeting = pair_touch(
+                get4(columns, wp.static(at["position_i"]), lane), get4(columns, wp.static(at["velocity_i"]), lane),
+                spin_i, get4(columns, wp.static(at["position_j"]), lane),
+                get4(columns, wp.static(at["velocity_j"]), lane), spin_j, sign, dt,
+            )  # fmt: skip
+            if wp.static(mixed):
+                p = parameters[get_int(ints, wp.static(int_at["law"]), lane)]
+            old_history = t.vec3()
+            if wp.static(history):
+                old_history = get3(columns, wp.static(at["history"]), lane)
+            total, new_history, lost = contact_force(p, meeting.touch, old_history, dt)
+            if wp.static(history):
+                put3(columns, wp.static(at["history"]), lane, new_history)
+            bending = t.vec3()
+            if wp.static(bonds):
+                kind = get_int(ints, wp.static(int_at["bond"]), lane)
+                pull = bond_pull(
+                    read_bond(columns, lane), meeting, sign * (spin_j - spin_i),
+                    get4(columns, wp.static(at["bond_force"]), lane),
+                    get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
+                )  # fmt: skip
+                holds = wp.where(kind > 0, scalar(1.0), scalar(0.0))
+                total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + holds * pull.total
+                bending = holds * pull.bending
+                lost = wp.where(kind > 0, pull.lost, lost)
+                put4(columns, wp.static(at["bond_force"]), lane, holds * pull.force)
+                put4(columns, wp.static(at["bond_moment"]), lane, holds * pull.moment)
+                put_int(ints, wp.static(int_at["bond"]), lane, wp.where(kind > 0, pull.outcome, 1))
+            if wp.static(rolls):
+                held_back, new_rolling, lost_rolling = contact_moment(
+                    p, meeting.touch, sign * (spin_j - spin_i), get3(columns, wp.static(at["rolling"]), lane), dt
+                )
+                put3(columns, wp.static(at["rolling"]), lane, new_rolling)
+                bending = bending + held_back
+                lost += lost_rolling
+            turn = wp.cross(meeting.touch.normal, total)
+            put3(columns, wp.static(at["force"]), lane, sign * total)
+            put3(columns, wp.static(at["moment_i"]), lane, meeting.arm_i * turn + sign * bending)
+            put3(columns, wp.static(at["moment_j"]), lane, meeting.arm_j * turn - sign * bending)
+            if wp.static(dissipation):
+                put(columns, wp.static(at["lost"]), lane, lost)
+            lane = lane + 1
+
+    return evaluate
+
+
+@functools.cache
+def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
+    """`give`: what came of the first lanes, to spheres and pairs."""
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
+    rolls = law.rolls
+    count_broken = broken_function(scalar)
+    rows = row_functions(scalar)
+    read_int, read_vec3 = rows.read_int, rows.read_vec3
+    write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
+    f = column_functions(scalar)
+    get, get_int, get3, get4 = f.get, f.get_int, f.get3, f.get4
+    places = layout(rolls, history, bonds)
+    at, int_at = places.numbers, places.integers
+
+    @wp.func
+    def give(
+        spheres: Spheres, pairs: Pairs, first: wp.int32, last: wp.int32, columns: Columns, ints: Ints, count: wp.int32
+    ):
+        """A half list's thread owns spheres `first` to `last`; of a pair across its border each side has a copy, and
+        that of the sphere with the lower permanent number counts."""
+        lane = wp.int32(0)
+        while lane < count:
+            i = get_int(ints, wp.static(int_at["i"]), lane)
+            j = get_int(ints, wp.static(int_at["j"]), lane)
+            k = get_int(ints, wp.static(int_at["k"]), lane)
+            shared = j >= first and j < last
+            if wp.static(history):
+                write_vec3(pairs.history, k, get3(columns, wp.static(at["history"]), lane))
+            if wp.static(rolls):
+                write_vec3(pairs.rolling, k, get3(columns, wp.static(at["rolling"]), lane))
+            if wp.static(bonds or dissipation):
+                own = shared or read_int(pairs.other, k) >= 0
+                if wp.static(bonds):
+                    write_vec4(pairs.bond_force, k, get4(columns, wp.static(at["bond_force"]), lane))
+                    write_vec4(pairs.bond_moment, k, get4(columns, wp.static(at["bond_moment"]), lane))
+                    outcome = get_int(ints, wp.static(int_at["bond"]), lane)
+                    if outcome < 0:
+                        pairs.bond[k] = outcome
+                        if own:
+                            count_broken(spheres, i, outcome)
+                if wp.static(dissipation):
+                    if own:
+                        lost = wp.float64(get(columns, wp.static(at["lost"]), lane))
+                        spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+            force = get3(columns, wp.static(at["force"]), lane)
+            write_vec3(spheres.force, i, read_vec3(spheres.force, i) + force)
+            moment_i = get3(columns, wp.static(at["moment_i"]), lane)
+            write_vec3(spheres.moment, i, read_vec3(spheres.moment, i) + moment_i)
+            if shared:
+                write_vec3(spheres.force, j, read_vec3(spheres.force, j) - force)
+                moment_j = get3(columns, wp.static(at["moment_j"]), lane)
+                write_vec3(spheres.moment, j, read_vec3(spheres.moment, j) + moment_j)
+            lane = lane + 1
+
+    return give
+
+
+@functools.cache
+def bond_columns(scalar, at: int):
+    """`read_bond` and `write_bond`: a bond's parameters in columns from `at` on."""
+    Bond = bond_functions(scalar).Bond
+    Columns = wp.array(dtype=scalar)
+    f = column_functions(scalar)
+    get, put = f.get, f.put
+
+    @wp.func
+    def read_bond(columns: Columns, lane: wp.int32):
+        bond = Bond()
+        bond.effective_modulus = get(columns, at, lane)
+        bond.shear_to_normal = get(columns, at + LANES, lane)
+        bond.tensile_strength = get(columns, at + 2 * LANES, lane)
+        bond.cohesion = get(columns, at + 3 * LANES, lane)
+        bond.tan_friction_angle = get(columns, at + 4 * LANES, lane)
+        bond.radius_multiplier = get(columns, at + 5 * LANES, lane)
+        bond.moment_factor = get(columns, at + 6 * LANES, lane)
+        return bond
+
+    @wp.func
+    def write_bond(columns: Columns, lane: wp.int32, bond: Bond):
+        put(columns, at, lane, bond.effective_modulus)
+        put(columns, at + LANES, lane, bond.shear_to_normal)
+        put(columns, at + 2 * LANES, lane, bond.tensile_strength)
+        put(columns, at + 3 * LANES, lane, bond.cohesion)
+        put(columns, at + 4 * LANES, lane, bond.tan_friction_angle)
+        put(columns, at + 5 * LANES, lane, bond.radius_multiplier)
+        put(columns, at + 6 * LANES, lane, bond.moment_factor)
+
+    return read_bond, write_bond
