@@ -1,6 +1,9 @@
 """Threads on a CPU: every chunk of a step on its own core; the same bits for a number of threads, the same physics."""
 
 import dataclasses
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -185,13 +188,34 @@ def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch)
     for hold in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
         late[0] += 0.015
         crowding.stepped(0.02)
+        assert not crowding.look() and crowding.on_trial  # once may be by chance
+        late[0] += 0.015
+        crowding.stepped(0.02)
         assert crowding.look()
         now[0] += 0.99 * hold
         assert crowding.look()
         now[0] += 0.02 * hold
         assert not crowding.look() and crowding.on_trial
     crowding.stepped(0.02)
-    late[0] += 0.015
-    crowding.stepped(0.02)
+    for _ in range(2):
+        late[0] += 0.015
+        crowding.stepped(0.02)
+    assert crowding.look()
     now[0] += 0.51
     assert not crowding.look()  # after a quiet time the wait is short again
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="threads are given cores on Linux only")
+def test_threads_have_a_core_each_where_there_are_as_many():
+    cores_here = sorted(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(len(cores_here), initializer=cores.own_cores(len(cores_here))) as pool:
+        gate = threading.Barrier(len(cores_here))
+
+        def where(_):
+            gate.wait()
+            return os.sched_getaffinity(0)
+
+        found = list(pool.map(where, cores_here))
+    assert sorted(map(tuple, found)) == [(core,) for core in cores_here]
+    fewer = ThreadPoolExecutor(1, initializer=cores.own_cores(len(cores_here) + 1))
+    assert fewer.submit(os.sched_getaffinity, 0).result() == set(cores_here) == os.sched_getaffinity(0)

@@ -7,8 +7,10 @@ the same.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 WINDOW = 0.01
@@ -17,6 +19,22 @@ LATE = 0.4
 """Part of that time that threads may wait for a core."""
 HOLD = 0.5, 8.0
 """Shortest and longest time [s] that one thread does the work of all before they are tried again."""
+
+
+def own_cores(threads: int) -> Callable[[], None]:
+    """What each of so many threads does first: it takes a core for itself, where there are as many as threads.
+
+    A system may wake two threads on one core and move one of them only milliseconds later. Where threads are fewer than
+    cores it is left to find free ones.
+    """
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    places = iter(cores)
+
+    def take() -> None:
+        if len(cores) == threads:
+            os.sched_setaffinity(0, {next(places)})  # of the thread that calls
+
+    return take
 
 
 def waited(thread: int) -> float:
@@ -36,7 +54,7 @@ class Crowding:
         self._stepped = self._late = 0.0
         self._until = 0.0
         self._hold = HOLD[0]
-        self._sure = False
+        self._sure = self._suspected = False
 
     def enter(self) -> None:
         """To be called by each thread when it sets out."""
@@ -60,10 +78,12 @@ class Crowding:
         if self._stepped < WINDOW:
             return
         late = sum(map(waited, self._threads))
-        if late - self._late > LATE * self._stepped:
-            self.crowded = True
+        if late - self._late <= LATE * self._stepped:
+            self._sure, self._suspected, self._hold = True, False, HOLD[0]
+        elif not self._suspected:
+            self._sure, self._suspected = False, True  # threads that set out may be late once
+        else:
+            self.crowded, self._suspected = True, False
             self._until = time.monotonic() + self._hold
             self._hold = min(2 * self._hold, HOLD[1])  # each time in vain the next try is later
-        else:
-            self._sure, self._hold = True, HOLD[0]
         self._stepped, self._late = 0.0, late

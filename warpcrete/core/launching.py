@@ -22,7 +22,7 @@ from typing import Any
 import warp as wp
 
 from ..kernels.common.barrier import GATE, barrier
-from .cores import Crowding
+from .cores import Crowding, own_cores
 from .device import default_threads, parallel
 from .interrupts import put_off
 
@@ -273,7 +273,7 @@ class Launcher:
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Where threads wait for one another, shape (GATE,)."""
         self.crowding = Crowding()
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(threads, initializer=own_cores(threads)) if threads > 1 else None
         if self._pool is not None:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
