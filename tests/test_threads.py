@@ -18,11 +18,13 @@ from warpcrete.core.errors import SceneError
 from warpcrete.dem import batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.clumps import ClumpTemplate
+from warpcrete.dem.laws import Contact, HertzMindlin
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.geometry.walls import Driven, PlaneWall
 
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
@@ -219,3 +221,33 @@ def test_threads_have_a_core_each_where_there_are_as_many():
     assert sorted(map(tuple, found)) == [(core,) for core in cores_here]
     fewer = ThreadPoolExecutor(1, initializer=cores.own_cores(len(cores_here) + 1))
     assert fewer.submit(os.sched_getaffinity, 0).result() == set(cores_here) == os.sched_getaffinity(0)
+
+
+@pytest.mark.parametrize("fast", [0, -1])
+def test_threads_find_the_same_stable_step_together(fast):
+    """A fast sphere and a driven wall bound the step of all, whichever thread comes upon them."""
+    count = 2 * batch.PER_THREAD
+    places = np.stack([*np.divmod(np.arange(count), 32), np.zeros(count)], axis=1) * 0.02
+    speeds = np.zeros((count, 3))
+    speeds[fast, 2] = 30.0
+    lid = PlaneWall(
+        name="lid", point=(0, 0, 0.0099), normal=(0, 0, -1), motion=Driven(direction=(0, 0, -1), force=1.0, mass=0.1)
+    )
+
+    def steps(velocities, contact, *walls):
+        body = Bodies(positions=places, sizes=0.02, density=2500.0, velocities=velocities)
+        scene = Scene(name="row", duration=1.0, bodies=(body,), contact=contact, walls=walls)
+        for threads in (1, 2):
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step, threads=threads)
+            assert stepper.batch.threads == threads
+            stepper.choose_dt()
+            yield stepper.dt
+
+    hertz = HertzMindlin.of(1e7, 0.3)
+    calm, fast_one, lidded = (list(steps(*each)) for each in ((0 * speeds, hertz), (speeds, hertz),
+                                                              (0 * speeds, Contact(), lid)))  # fmt: skip
+    for alone, together in (calm, fast_one, lidded):
+        assert alone == pytest.approx(together, rel=1e-12)
+    assert fast_one[0] < 0.8 * calm[0]
+    assert lidded[0] < 0.8 * next(steps(0 * speeds, Contact()))

@@ -99,7 +99,8 @@ def crowd(count: int, seed: int) -> Scene:
     around = np.stack([np.sqrt(1 - height**2) * np.cos(turn), np.sqrt(1 - height**2) * np.sin(turn), height], axis=1)
     places = np.concatenate([np.zeros((1, 3)), 0.0595 * around])
     return Scene(
-        name="crowd", duration=0.02, gravity=(0.0, 0.0, 0.0), energy_balance=True, watch=Watch(overlap=None), time_step=TimeStep(fixed=1e-4),
+        name="crowd", duration=0.02, gravity=(0.0, 0.0, 0.0), energy_balance=True, watch=Watch(overlap=None),
+        time_step=TimeStep(fixed=1e-4),
         bodies=(Bodies(
             positions=places, sizes=np.array([0.1] + [0.02] * count), density=2500.0,
             velocities=np.concatenate([np.zeros((1, 3)), random.uniform(-0.5, 0.5, (count, 3))]),

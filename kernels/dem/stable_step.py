@@ -9,11 +9,13 @@ together, which that formula does not.
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 
 from ..common.control import ARRIVED, ESTIMATED, FAILED, HALTED, STALE, STEPS
-from ..common.types import types, vector_functions
+from ..common.rows import row_functions
+from ..common.types import cpu_flags, types, vector_functions
 from ..common.walls import DRIVEN, wall_functions
 from .bond_parallel import bond_functions
 from .clock import arrived_function
@@ -53,33 +55,50 @@ def begin_kernel(scalar):
         due[s] = wp.where(wanted, 1, 0)
         if not wanted:
             return
-        estimate.smallest[s] = wp.float64(1.0e30)
-        estimate.fastest[s] = scenes.row[s].foreseen_speed
-        for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
-            estimate.wall_load[w, 0] = wp.int64(0)
-            estimate.wall_load[w, 1] = wp.int64(0)
+        for part in range(estimate.smallest.shape[0]):
+            estimate.smallest[part, s] = wp.float64(1.0e30)
+            estimate.fastest[part, s] = scenes.row[s].foreseen_speed
+            for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
+                estimate.wall_load[part, w, 0] = wp.int64(0)
+                estimate.wall_load[part, w, 1] = wp.int64(0)
 
     return begin_estimate
 
 
 @functools.cache
 def noting_functions(scalar):
-    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear."""
+    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear; `fastest` and `smallest`:
+    what all parts found."""
     t = types(scalar)
+    Estimate = estimate_struct(scalar)
 
     @wp.func
-    def hurry(fastest: wp.array(dtype=wp.float64), s: wp.int32, speed: scalar):
+    def hurry(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
         # The plain read spares nearly all atomics; it may be old, never too high.
-        if wp.float64(speed) > fastest[s]:
-            wp.atomic_max(fastest, s, wp.float64(speed))
+        if wp.float64(speed) > estimate.fastest[part, s]:
+            wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
     @wp.func
-    def load_wall(wall_load: wp.array2d(dtype=wp.int64), w: wp.int32, k: t.vec4):
+    def load_wall(estimate: Estimate, part: wp.int32, w: wp.int32, k: t.vec4):
         # Whole numbers add up the same in any order.
-        wp.atomic_add(wall_load, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
-        wp.atomic_add(wall_load, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
+        wp.atomic_add(estimate.wall_load, part, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
+        wp.atomic_add(estimate.wall_load, part, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
 
-    return hurry, load_wall
+    @wp.func
+    def fastest(estimate: Estimate, s: wp.int32):
+        found = estimate.fastest[0, s]
+        for part in range(1, estimate.fastest.shape[0]):
+            found = wp.max(found, estimate.fastest[part, s])
+        return found
+
+    @wp.func
+    def smallest(estimate: Estimate, s: wp.int32):
+        found = estimate.smallest[0, s]
+        for part in range(1, estimate.smallest.shape[0]):
+            found = wp.min(found, estimate.smallest[part, s])
+        return found
+
+    return SimpleNamespace(hurry=hurry, load_wall=load_wall, fastest=fastest, smallest=smallest)
 
 
 @functools.cache
@@ -105,9 +124,11 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     shape = wall_functions(scalar)
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     xyz = vector_functions(scalar).xyz
-    hurry, load_wall = noting_functions(scalar)
+    hurry, load_wall = noting_functions(scalar).hurry, noting_functions(scalar).load_wall
+    rows = row_functions(scalar)
+    read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": cpu_flags()})
     def gather_stiffness(
         # model
         pair_parameters: wp.array(dtype=PairParameters),
@@ -119,6 +140,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
+        part: wp.int32,
         stiff: wp.bool,
         # state, read
         scenes: Scenes,
@@ -135,19 +157,18 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         if due[s] == 0:
             return
         zero = scalar(0.0)
-        xi = xyz(spheres.position[i])
-        radius_i = spheres.position[i][3]
-        velocity_i = xyz(spheres.velocity[i])
+        position_i, moving_i = read_vec4(spheres.position, i), read_vec4(spheres.velocity, i)
+        xi, radius_i, velocity_i = xyz(position_i), position_i[3], xyz(moving_i)
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-        arm_i = xi - bodies.position[scenes.row[s].bodies + spheres.body[i]]
-        hurry(estimate.fastest, s, wp.length(velocity_i))
+        arm_i = xi - read_vec3(bodies.position, scenes.row[s].bodies + spheres.body[i])
+        hurry(estimate, part, s, wp.length(velocity_i))
         sums = add_pairs(
             i, s, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
         )  # fmt: skip
         first_wall = scenes.row[s].walls
         for w in range(first_wall, first_wall + scenes.row[s].wall_count):
             surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
-            hurry(estimate.fastest, s, wp.length(surface))
+            hurry(estimate, part, s, wp.length(surface))
         met = slots.history.shape[1]
         if stiff:
             met = 0
@@ -166,13 +187,13 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                     overlap = slots.overlap[i, slot]
             if overlap > zero:
                 surface = walls.velocity[w] + wp.cross(walls.spin[w], xi + radius_i * n - walls.position[w])
-                touch = wall_touch(n, -overlap, surface - velocity_i, zero, radius_i, spheres.velocity[i][3])
+                touch = wall_touch(n, -overlap, surface - velocity_i, zero, radius_i, moving_i[3])
                 k = wall_stiffness(wall_parameters[row + walls.table[w].material], touch)
                 sums.k = sums.k + outer(n, k[0], k[1])
                 sums.c = sums.c + outer(n, k[2], k[3])
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
-                load_wall(estimate.wall_load, w, k)
+                load_wall(estimate, part, w, k)
         estimate.sums[i, 0] = estimate.sums[i, 0] + sums.k
         estimate.sums[i, 1] = estimate.sums[i, 1] + sums.c
         estimate.sums[i, 2] = estimate.sums[i, 2] + sums.k_turn
@@ -235,8 +256,11 @@ def reduce_kernel(scalar, pair_law, wall_law):
     full, row_sum, stable = matrices.full, matrices.row_sum, matrices.stable
     vec6 = wp.types.vector(6, scalar)
     xyz = vector_functions(scalar).xyz
+    fastest = noting_functions(scalar).fastest
+    rows = row_functions(scalar)
+    read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": cpu_flags()})
     def reduce_step(
         # model
         pair_parameters: wp.array(dtype=PairParameters),
@@ -244,6 +268,7 @@ def reduce_kernel(scalar, pair_law, wall_law):
         # state, read
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
+        part: wp.int32,
         stiff: wp.bool,
         scenes: Scenes,
         bodies: Bodies,
@@ -257,6 +282,7 @@ def reduce_kernel(scalar, pair_law, wall_law):
             return
         base = scenes.row[s].spheres
         materials = scenes.row[s].materials
+        top = scalar(fastest(estimate, s))
         mass = bodies.mass[b]
         inertia = bodies.inertia[b]
         slight = wp.min(inertia)
@@ -276,9 +302,10 @@ def reduce_kernel(scalar, pair_law, wall_law):
                 estimate.sums[place, column] = vec6()
             # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
             # Shear turns it about its long axis with the sphere's radius as lever, across it with the whole arm.
-            radius = spheres.position[place][3]
-            speed = wp.length(xyz(spheres.velocity[place])) + scalar(estimate.fastest[s])
-            lever = radius + wp.length(xyz(spheres.position[place]) - bodies.position[b])
+            position = read_vec4(spheres.position, place)
+            radius = position[3]
+            speed = wp.length(xyz(read_vec4(spheres.velocity, place))) + top
+            lever = radius + wp.length(xyz(position) - read_vec3(bodies.position, b))
             turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             row = scenes.row[s].laws + spheres.material[place] * materials
             k, c = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn)
@@ -294,10 +321,10 @@ def reduce_kernel(scalar, pair_law, wall_law):
         k_spin = row_sum(wp.transpose(axes) * full(k_turn) * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * full(c_turn) * axes, inertia)))
-        if wp.float64(step) < estimate.smallest[s]:
-            wp.atomic_min(estimate.smallest, s, wp.float64(step))
+        if wp.float64(step) < estimate.smallest[part, s]:
+            wp.atomic_min(estimate.smallest, part, s, wp.float64(step))
         elif not (step >= scalar(0.0)):
-            estimate.smallest[s] = wp.float64(-1.0)
+            estimate.smallest[part, s] = wp.float64(-1.0)
 
     return reduce_step
 
@@ -306,13 +333,14 @@ def reduce_kernel(scalar, pair_law, wall_law):
 def keep_kernel(scalar):
     """Kernel over scenes: what has been found holds for the pairs that are stepped in rounds."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
+    smallest = noting_functions(scalar).smallest
 
     @wp.kernel(module="unique", enable_backward=False)
     def keep_stable(due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled):
         s = wp.tid()
         if due[s] == 0:
             return
-        subcycled.stable[s] = estimate.smallest[s]
+        subcycled.stable[s] = smallest(estimate, s)
 
     return keep_stable
 
@@ -327,6 +355,7 @@ def settle_kernel(scalar, subcycling: bool):
     Scenes, Walls = structs.Scenes, structs.Walls
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     arrived = arrived_function(scalar)
+    smallest = noting_functions(scalar).smallest
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
@@ -344,7 +373,7 @@ def settle_kernel(scalar, subcycling: bool):
         if due[s] == 0:
             return
         one = wp.float64(1.0)
-        step = estimate.smallest[s]
+        step = smallest(estimate, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
                 # Dashpots of stiff bonds go with stiffness and step.
@@ -354,11 +383,16 @@ def settle_kernel(scalar, subcycling: bool):
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
             if walls.table[w].motion == DRIVEN:
                 # A driven wall is a body, too; never less than one contact with the largest sphere.
-                load = wp.float64(1.0e-3) * wp.float64(estimate.wall_load[w, 0])
+                spring = wp.int64(0)
+                dashpot = wp.int64(0)
+                for part in range(estimate.wall_load.shape[0]):
+                    spring += estimate.wall_load[part, w, 0]
+                    dashpot += estimate.wall_load[part, w, 1]
+                load = wp.float64(1.0e-3) * wp.float64(spring)
                 stiffness = wp.max(load, scenes.row[s].wall_stiffness)
                 mass = walls.table[w].mass
                 # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
-                ratio = wp.float64(0.5e-3) * wp.float64(estimate.wall_load[w, 1]) / wp.sqrt(mass * stiffness)
+                ratio = wp.float64(0.5e-3) * wp.float64(dashpot) / wp.sqrt(mass * stiffness)
                 own = wp.sqrt(mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)
                 step = wp.min(step, own)
         scenes.clock[s, STABLE] = step

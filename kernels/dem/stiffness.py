@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
 from .contact_law import contact_functions
@@ -14,15 +15,16 @@ from .structs import array_structs
 
 @functools.cache
 def estimate_struct(scalar):
-    """What the estimate adds up; `sums` has columns K and C of translation, K and C of rotation."""
+    """What the estimate adds up; `sums` has columns K and C of translation, K and C of rotation. Each thread of a CPU
+    is a `part` that notes extremes and loads of its own: there nothing is atomic."""
     vec6 = wp.types.vector(6, scalar)
 
     @wp.struct
     class Estimate:
         sums: wp.array2d(dtype=vec6)  # of each sphere, shape (spheres, 4); zero between two estimates
-        wall_load: wp.array2d(dtype=wp.int64)  # stiffness [mN/m] and damping [mN s/m] of each wall, shape (walls, 2)
-        smallest: wp.array(dtype=wp.float64)  # step of any body of a scene [s], shape (scenes,)
-        fastest: wp.array(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (scenes,)
+        wall_load: wp.array3d(dtype=wp.int64)  # stiffness [mN/m], damping [mN s/m] of walls, shape (parts, walls, 2)
+        smallest: wp.array2d(dtype=wp.float64)  # step of any body of a scene [s], shape (parts, scenes)
+        fastest: wp.array2d(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (parts, scenes)
 
     return Estimate
 
@@ -97,6 +99,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
     matrices = stiffness_functions(scalar)
     outer, turning = matrices.outer, matrices.turning
     xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     safe_normalize = vector_functions(scalar).safe_normalize
 
     vec6 = wp.types.vector(6, scalar)
@@ -127,31 +131,33 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         sums = Sums()
         base = scenes.row[s].spheres
         body_base = scenes.row[s].bodies
-        xi = xyz(spheres.position[i])
-        radius_i = spheres.position[i][3]
+        position_i, moving_i = read_vec4(spheres.position, i), read_vec4(spheres.velocity, i)
+        xi = xyz(position_i)
+        radius_i = position_i[3]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-        arm_i = xi - bodies.position[body_base + spheres.body[i]]
+        arm_i = xi - read_vec3(bodies.position, body_base + spheres.body[i])
         start = scenes.row[s].pairs
         for pair in range(start + pairs.start[i + s], start + pairs.start[i + s + 1]):
-            j = base + decode(pairs.other[pair])
-            offset = xyz(spheres.position[j]) - xi
-            radius_j = spheres.position[j][3]
+            j = base + decode(read_int(pairs.other, pair))
+            position_j = read_vec4(spheres.position, j)
+            offset = xyz(position_j) - xi
+            radius_j = position_j[3]
             length = radius_i + radius_j
             touching = wp.length_sq(offset) < length * length
             bond = wp.int32(0)
             if wp.static(bonds):
-                bond = pairs.bond[pair]
+                bond = read_int(pairs.bond, pair)
             counts = touching or bond > 0
             if wp.static(subcycling):
                 counts = counts and (bond == HYDRATED) == stiff
             if counts:
                 n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
-                velocity = xyz(spheres.velocity[j]) - xyz(spheres.velocity[i])
+                moving_j = read_vec4(spheres.velocity, j)
                 touch = sphere_touch(
-                    n, wp.length(offset) - length, velocity, zero, radius_i, radius_j, spheres.velocity[i][3],
-                    spheres.velocity[j][3],
+                    n, wp.length(offset) - length, xyz(moving_j) - xyz(moving_i), zero, radius_i, radius_j,
+                    moving_i[3], moving_j[3],
                 )  # fmt: skip
-                k = stiffness(parameters[row + spheres.material[j]], touch)
+                k = stiffness(parameters[row + read_int(spheres.material, j)], touch)
                 held = t.vec4()
                 if wp.static(bonds):
                     if bond > 0:
@@ -166,7 +172,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 if wp.static(half):
                     if j >= first and j < last:
-                        lever = xyz(spheres.position[j]) - bodies.position[body_base + spheres.body[j]] - radius_j * n
+                        centre = read_vec3(bodies.position, body_base + read_int(spheres.body, j))
+                        lever = xyz(position_j) - centre - radius_j * n
                         estimate.sums[j, 0] = estimate.sums[j, 0] + block
                         estimate.sums[j, 1] = estimate.sums[j, 1] + damping
                         estimate.sums[j, 2] = estimate.sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])

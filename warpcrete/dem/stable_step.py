@@ -37,9 +37,9 @@ class StableStep:
 
         self._estimate = estimate_struct(batch.scalar)()
         self._estimate.sums = zeros("sums", (batch.sphere_count, 4))
-        self._estimate.wall_load = zeros("wall_load", (batch.wall_count, 2))
-        self._estimate.smallest = zeros("smallest", batch.count)
-        self._estimate.fastest = zeros("fastest", batch.count)
+        self._estimate.wall_load = zeros("wall_load", (batch.threads, batch.wall_count, 2))
+        self._estimate.smallest = zeros("smallest", (batch.threads, batch.count))
+        self._estimate.fastest = zeros("fastest", (batch.threads, batch.count))
         self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._asked_before = np.zeros(batch.count, dtype=np.int32)
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
@@ -81,7 +81,7 @@ class StableStep:
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
-        return self._stages(-1 if self.batch.parallel else 0, False)
+        return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int, by_device: bool) -> Callable[[], None]:
         if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
@@ -90,39 +90,55 @@ class StableStep:
         # A CPU goes through the spheres of one scene, chunk by chunk.
         key = -1 if self.batch.parallel else s, by_device
         if key not in self._recorded:
-            self._recorded[key] = at_once(self._stages(*key), self.batch.device)
+            self._recorded[key] = self._made(self._phases(*key))
         return self._recorded[key]
 
-    def _stages(self, which: int, by_device: bool) -> list[Stage]:
-        """Stages for one scene, or (-1) for all that are due."""
+    def _made(self, phases: list[list[Stage]]) -> Callable[[], None]:
+        b = self.batch
+        if b.threads == 1:
+            return at_once([stage for phase in phases for stage in phase], b.device)
+
+        def phase_by_phase() -> None:
+            for phase in phases:
+                if len(phase) > 1:
+                    b.in_parts(phase)
+                else:
+                    phase[0]()
+
+        return phase_by_phase
+
+    def _phases(self, which: int, by_device: bool) -> list[list[Stage]]:
+        """Stages for one scene, or (-1) for all that are due; what stands together may run at the same time."""
         b, f = self.batch, self.batch.features
         own = {"due": self._due, "estimate": self._estimate}
         begin = {"asked": self._asked, "by_device": by_device, **own}
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling)
         reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law)
-        spheres, bodies = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
+        sphere, body = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
         chunks, count = list(pairwise(b.states[which].chunks)), b.states[which].body_count
         if which < 0:
-            spheres, bodies, chunks, count = 0, 0, [(0, b.sphere_count)], b.body_count
+            sphere, body, chunks, count = 0, 0, [(0, b.sphere_count)], b.body_count
+        own_bodies = [(0, count)] if b.threads == 1 else list(pairwise(b.body_chunks.tolist()))
 
-        def smallest(stiff: bool) -> list[Stage]:
+        def smallest(stiff: bool) -> list[list[Stage]]:
             return [
-                b.stage(begin_kernel(b.scalar), b.count, **begin),
-                *(
-                    b.stage(gather, last - first, begin=spheres + first, first=spheres + first, last=spheres + last,
-                            stiff=stiff, **own)
-                    for first, last in chunks
-                ),
+                [b.stage(begin_kernel(b.scalar), b.count, **begin)],
+                [
+                    b.stage(gather, last - first, begin=sphere + first, first=sphere + first, last=sphere + last,
+                            part=k, stiff=stiff, **own)
+                    for k, (first, last) in enumerate(chunks)
+                ],
                 # Without bodies nothing bounds the step but its largest allowed size.
-                b.stage(reduce, count, begin=bodies, stiff=stiff, **own),
+                [b.stage(reduce, last - first, begin=body + first, part=k, stiff=stiff, **own)
+                 for k, (first, last) in enumerate(own_bodies)],
             ]  # fmt: skip
 
         rounds = {"subcycled": b.subcycles.arrays}
         settle = b.stage(settle_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
-        stages = [*smallest(False), settle]
+        phases = [*smallest(False), [settle]]
         if f.subcycling:
-            stages = [*smallest(True), b.stage(keep_kernel(b.scalar), b.count, **own, **rounds), *stages]
-        return [*b.sync_stages(), *stages] if by_device else stages
+            phases = [*smallest(True), [b.stage(keep_kernel(b.scalar), b.count, **own, **rounds)], *phases]
+        return [*([stage] for stage in b.sync_stages()), *phases] if by_device else phases
 
 
 def foreseen_speed(scene: Scene, horizon: float) -> float:
