@@ -49,6 +49,9 @@ class ContactLaw(Declared, ABC):
         - `moment(p, touch, turning, history, dt)`: of the spin of body b seen from a [rad/s] and a history of its own,
           the moment on a [N m], the new history, the moment of springs, and the energy lost in the step [J];
         - `moment_energy(p, touch, history)`: elastic energy of that [J].
+
+        A CPU evaluates `force` and `moment` of several contacts at once as long as no branch in them assigns a vector
+        or returns: let branches choose a number, and multiply by it.
         """
 
     @property
