@@ -17,7 +17,7 @@ from warpcrete import Simulation
 from warpcrete.core.device import quiet_init
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, RollingResistance
-from warpcrete.dem.scene import Bodies, Scene, TimeStep, Watch
+from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
 from warpcrete.kernels.common.types import SPAN, cpu_flags
 from warpcrete.kernels.dem.contacts import contact_kernel
 
@@ -126,3 +126,18 @@ def test_rows_longer_than_lanes_have_the_same_bits_in_a_batch(device, precision)
         lost, wanted = (s.stepper.state.spheres.dissipated_energy.numpy() for s in (simulation, apart))
         assert np.array_equal(lost, wanted)
     assert lost.sum() > 0
+
+
+def test_a_bond_that_is_none_spoils_no_contact(start):
+    """Spheres in one place touch, but have no bond: a bond's stretch would be none over none."""
+    places = np.array([[0.0, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.119, 0, 0]])
+    scene = Scene(
+        name="one place", duration=1.0, gravity=(0.0, 0.0, 0.0), time_step=TimeStep(fixed=1e-6), bonds=Bonds(),
+        bodies=(Bodies(positions=places, sizes=0.02, density=2500.0),), watch=Watch(overlap=None),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.take(1)
+    velocity = by_id(stepper.state, "velocity")
+    assert np.isfinite(velocity).all()
+    assert velocity[0, 2] == -velocity[1, 2] != 0 and velocity[2, 0] == -velocity[3, 0] < 0
+    assert not np.any(stepper.state.pairs.bond_force.numpy())

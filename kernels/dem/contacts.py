@@ -137,7 +137,7 @@ def contact_kernel(
                             block, end, parted,
                         )  # fmt: skip
                         if wp.static(dissipation):
-                            if lost > wp.float64(0.0):
+                            if lost != wp.float64(0.0):
                                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
             if full and count > 0:
                 evaluate(columns, ints, pair_parameters, used_law, used_dt)

@@ -25,7 +25,8 @@ LANES = wp.constant(32)
 
 @functools.cache
 def column_functions(scalar):
-    """`get3`, `get4`, `put3`, `put4` and those of single numbers: what stands in columns from `at` on in a lane."""
+    """`get3`, `get4`, `put3`, `put4` and those of single numbers: what stands in columns from `at` on in a lane;
+    `where3`, `where4`: a vector where something holds, else zero."""
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
 
@@ -61,9 +62,20 @@ def column_functions(scalar):
         put3(columns, at, lane, t.vec3(value[0], value[1], value[2]))
         put(columns, at + 3 * LANES, lane, value[3])
 
+    @wp.func
+    def where3(holds: wp.bool, v: t.vec3):
+        zero = scalar(0.0)
+        return t.vec3(wp.where(holds, v[0], zero), wp.where(holds, v[1], zero), wp.where(holds, v[2], zero))
+
+    @wp.func
+    def where4(holds: wp.bool, v: t.vec4):
+        w = where3(holds, t.vec3(v[0], v[1], v[2]))
+        return t.vec4(w[0], w[1], w[2], wp.where(holds, v[3], scalar(0.0)))
+
     return SimpleNamespace(
-        get=get, put=put, get_int=get_int, put_int=put_int, get3=get3, put3=put3, get4=get4, put4=put4
-    )
+        get=get, put=put, get_int=get_int, put_int=put_int, get3=get3, put3=put3, get4=get4, put4=put4, where3=where3,
+        where4=where4,
+    )  # fmt: skip
 
 
 @functools.cache
@@ -156,6 +168,7 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
     f = column_functions(scalar)
     get, put, get_int, put_int = f.get, f.put, f.get_int, f.put_int
     get3, put3, get4, put4 = f.get3, f.put3, f.get4, f.put4
+    where3, where4 = f.where3, f.where4
     places = layout(rolls, history, bonds)
     at, int_at = places.numbers, places.integers
     read_bond, _ = bond_columns(scalar, at["bond"]) if bonds else (None, None)
@@ -189,12 +202,12 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
                     get4(columns, wp.static(at["bond_force"]), lane),
                     get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
                 )  # fmt: skip
-                holds = wp.where(kind > 0, scalar(1.0), scalar(0.0))
-                total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + holds * pull.total
-                bending = holds * pull.bending
+                # Chosen number by number: what comes of a bond that is none may be none.
+                total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + where3(kind > 0, pull.total)
+                bending = where3(kind > 0, pull.bending)
                 lost = wp.where(kind > 0, pull.lost, lost)
-                put4(columns, wp.static(at["bond_force"]), lane, holds * pull.force)
-                put4(columns, wp.static(at["bond_moment"]), lane, holds * pull.moment)
+                put4(columns, wp.static(at["bond_force"]), lane, where4(kind > 0, pull.force))
+                put4(columns, wp.static(at["bond_moment"]), lane, where4(kind > 0, pull.moment))
                 put_int(ints, wp.static(int_at["bond"]), lane, wp.where(kind > 0, pull.outcome, 1))
             if wp.static(rolls):
                 held_back, new_rolling, lost_rolling = contact_moment(
