@@ -162,15 +162,17 @@ def test_an_unknown_paper_is_refused(tmp_path):
 def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
     column = {"length": 0.2, "diameter": 0.1, "spacing": 0.02, "concrete": "no1"}
     cases = {"flow": [("channel", column | {"flow": flow}) for flow in (1e-3, 2e-3)]}
+    cases["flow"].append(("channel", column | {"flow": 1e-3, "regularisation": 100.0}))  # the first again
     monkeypatch.setattr("warpcrete.studies.reproduce.xu_cases", lambda quick: cases)
     monkeypatch.setattr("warpcrete.studies.reproduction_report.xu_cases", lambda quick: cases)
     found = reproduce("xu", out=tmp_path / "out", device="cpu", quick=True)
-    assert found.finished and len(found.results) == 2 and not found.failures
+    assert found.finished and len(found.results) == 3 and not found.failures
+    assert len([path for path in (found.folder / "flow-channel").iterdir() if path.is_dir()]) == 2
     text = (found.folder / "reproduction.md").read_text()
-    assert text.count("| channel | no1 | flow 0.00") == 2 and "Pressure holds" in text
+    assert text.count("| channel | no1 | flow 0.00") == 3 and "Pressure holds" in text
     assert papers.XU_PRINTED["pressure"] == 9.40e3
     again = reproduce("xu", out=tmp_path / "again", device="cpu", quick=True, known=[tmp_path / "out"])
-    assert again.finished and sorted(path.name for path in again.folder.glob("*/")) == [] and len(again.results) == 2
+    assert again.finished and sorted(path.name for path in again.folder.glob("*/")) == [] and len(again.results) == 3
     assert (again.folder / "reproduction.md").read_text() == text
 
 
