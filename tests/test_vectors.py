@@ -35,9 +35,8 @@ def wide_roots_and_divisions(kernel, precision: str) -> int:
     """How many instructions of a compiled kernel take the roots or quotients of 256 bits of numbers."""
     quiet_init()
     wp.load_module(kernel.module, device="cpu")
-    code = b"".join(
-        path.read_bytes() for path in Path(wp.config.kernel_cache_dir).glob(f"wp_{kernel.module.name}_*/*.o")
-    )
+    folder = Path(wp.config.kernel_cache_dir, kernel.module.get_module_identifier(1))
+    (code,) = (path.read_bytes() for path in folder.glob("*.o"))
     last = bytes(high | low for high in range(0, 256, 32) for low in WIDE[precision])
     short, long = b"\xc5[%s][\x51\x5e]" % re.escape(last), b"\xc4.[%s][\x51\x5e]" % re.escape(last)
     return len(re.findall(short, code, re.DOTALL)) + len(re.findall(long, code, re.DOTALL))

@@ -55,6 +55,26 @@ def lowest_bit(bits: wp.int32) -> wp.int32:
     """Place of the lowest bit that is set; `bits` is not 0."""
 
 
+LENGTHENED = """
+    using T = decltype(square);
+    // 1 / sqrt(1 - shrink), to the last digit of double precision.
+    const T nearly = T(1) + shrink * (T(0.5) + shrink * (T(0.375) + shrink * T(0.3125)));
+    const bool near = wp::abs(shrink) < T(1.0e-5);
+#if defined(__CUDA_ARCH__)
+    // With branches that return bonded contacts take a sixth fewer registers.
+    if (near) return u * nearly;
+    const T after = wp::dot(u, u);
+    if (after > T(0)) return u * wp::sqrt(square / after);
+    return u;
+#else
+    // Without, loops over contacts become vector instructions.
+    const T after = wp::dot(u, u);
+    const T exactly = after > T(0) ? wp::sqrt(square / after) : T(1);
+    return u * (near ? nearly : exactly);
+#endif
+"""
+
+
 @functools.cache
 def vector_functions(scalar):
     """Small helpers of one precision: ``xyz`` of a 4-vector, ``pack`` the reverse."""
@@ -75,6 +95,9 @@ def vector_functions(scalar):
             return v / length
         return fallback
 
+    @wp.func_native(LENGTHENED)
+    def lengthened(u: t.vec3, square: scalar, shrink: scalar) -> t.vec3: ...  # to the length that it had before
+
     @wp.func
     def rotated_with_normal(v: t.vec3, n: t.vec3, twist: scalar):
         # Follow the contact plane: drop what the plane's tilt turned into a normal part, turn by
@@ -88,14 +111,6 @@ def vector_functions(scalar):
         tilt = scalar(0.0)
         if square > scalar(0.0):
             tilt = out * out / square
-        shrink = tilt - (one - tilt) * twist * twist
-        # 1 / sqrt(1 - shrink), to the last digit of double precision.
-        longer = one + shrink * (scalar(0.5) + shrink * (scalar(0.375) + shrink * scalar(0.3125)))
-        if wp.abs(shrink) >= scalar(1.0e-5):
-            after = wp.length_sq(u)
-            longer = one
-            if after > scalar(0.0):
-                longer = wp.sqrt(square / after)
-        return longer * u
+        return lengthened(u, square, tilt - (one - tilt) * twist * twist)
 
     return SimpleNamespace(xyz=xyz, pack=pack, safe_normalize=safe_normalize, rotated_with_normal=rotated_with_normal)
