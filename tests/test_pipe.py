@@ -42,7 +42,7 @@ def test_mesh_pipe_agrees_with_analytic_pipe(device):
     for wall in ("analytic", "mesh"):
         run = Simulation(scenes.pipe(unit="vertical", wall=wall, **SMALL), device=device).run()
         plateaus.append(run.result["plateau_pressure"]["value"])
-    assert plateaus[1] == pytest.approx(plateaus[0], rel=0.015)  # four packings: 0.2 to 0.7 %
+    assert plateaus[1] == pytest.approx(plateaus[0], rel=0.03)  # twelve packings: 0.0 to 1.1, one 2.2 %
 
 
 def test_same_seed_same_bits(device):
