@@ -7,6 +7,7 @@ the same.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
@@ -32,7 +33,8 @@ def own_cores(threads: int) -> Callable[[], None]:
 
     def take() -> None:
         if len(cores) == threads:
-            os.sched_setaffinity(0, {next(places)})  # of the thread that calls
+            with contextlib.suppress(OSError):  # a core may be taken from this process meanwhile
+                os.sched_setaffinity(0, {next(places)})  # of the thread that calls
 
     return take
 

@@ -328,6 +328,10 @@ class Launcher:
             for call in calls:
                 call()
             return
+        if len(calls) == 1:  # by this thread, which the system may move to any core
+            with put_off():
+                calls[0]()
+            return
         # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
         # reads again.
         with put_off():

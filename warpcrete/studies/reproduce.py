@@ -185,7 +185,8 @@ def _meant(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
 def _take(found: Reproduction, group: str, study: Study) -> None:
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
-        for key in keys[case.name]:
+        named = keys[case.name]
+        for key in [named] if isinstance(named, str) else named:  # a name alone in folders of version 0.2
             if case.name in study.results:
                 found.results[key] = study.results[case.name]
             elif case.name in study.failures:
