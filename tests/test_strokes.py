@@ -146,7 +146,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
         elif pair in after:  # lists drop what has gone far
             assert after[pair][0] == kind
     kept = sum(kind == 1 for kind, _, _ in before.values())
-    assert made > 50 and kept > 100, (made, kept)
+    assert made > 30 and kept > 1000, (made, kept)  # of 28 packings 38 to 166 and 1255 to 1499
 
 
 def test_a_restart_takes_more_than_the_first_start_and_balances_hold(device):

@@ -1,7 +1,6 @@
 """Threads on a CPU: every chunk of a step on its own core; the same bits for a number of threads, the same physics."""
 
 import dataclasses
-import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -207,20 +206,25 @@ def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch)
     assert not crowding.look()  # after a quiet time the wait is short again
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="threads are given cores on Linux only")
-def test_threads_have_a_core_each_where_there_are_as_many():
-    cores_here = sorted(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(len(cores_here), initializer=cores.own_cores(len(cores_here))) as pool:
-        gate = threading.Barrier(len(cores_here))
+@pytest.mark.parametrize("there", [{0, 1, 2}, {3, 5, 9}, {0, 1, 2, 3}, {4}])
+def test_threads_have_a_core_each_where_there_are_as_many(there, monkeypatch):
+    taken = []
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda thread: there, raising=False)
+    monkeypatch.setattr(cores.os, "sched_setaffinity", lambda thread, own: taken.append((thread, own)), raising=False)
+    gate = threading.Barrier(3)  # so that all three threads begin
+    with ThreadPoolExecutor(3, initializer=cores.own_cores(3)) as pool:
+        list(pool.map(lambda _: gate.wait(), range(3)))
+    assert sorted(map(str, taken)) == ([str((0, {core})) for core in sorted(there)] if len(there) == 3 else [])
 
-        def where(_):
-            gate.wait()
-            return os.sched_getaffinity(0)
 
-        found = list(pool.map(where, cores_here))
-    assert sorted(map(tuple, found)) == [(core,) for core in cores_here]
-    fewer = ThreadPoolExecutor(1, initializer=cores.own_cores(len(cores_here) + 1))
-    assert fewer.submit(os.sched_getaffinity, 0).result() == set(cores_here) == os.sched_getaffinity(0)
+def test_a_core_that_is_no_more_stops_no_thread(monkeypatch):
+    def refuse(thread, own):
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda thread: {7}, raising=False)
+    monkeypatch.setattr(cores.os, "sched_setaffinity", refuse, raising=False)
+    with ThreadPoolExecutor(1, initializer=cores.own_cores(1)) as pool:
+        assert pool.submit(lambda: 3).result() == 3
 
 
 @pytest.mark.parametrize("fast", [0, -1])

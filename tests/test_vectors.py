@@ -43,8 +43,8 @@ def wide_roots_and_divisions(kernel, precision: str) -> int:
 
 
 @functools.cache
-def compiled(law, precision: str, bonds: bool, mixed: bool):
-    return contact_kernel(getattr(wp, precision), law, True, bonds, False, False, True, mixed)
+def compiled(law, precision: str, bonds: bool, mixed: bool, energies: bool = False):
+    return contact_kernel(getattr(wp, precision), law, True, bonds, False, False, energies, mixed)
 
 
 @avx2
@@ -62,7 +62,8 @@ def test_contacts_are_evaluated_in_vector_registers(precision):
 @pytest.mark.parametrize("bonds", [False, True], ids=["plain", "bonded"])
 @pytest.mark.parametrize("law", sorted({RollingResistance, *map(type, LAWS.values())}, key=lambda law: law.__name__))
 def test_no_law_keeps_contacts_from_vector_registers(law, bonds, precision):
-    assert wide_roots_and_divisions(compiled(law, precision, bonds, False), precision) >= 5
+    for energies in (False, True):
+        assert wide_roots_and_divisions(compiled(law, precision, bonds, False, energies), precision) >= 5
 
 
 def test_every_pair_of_materials_has_the_law_of_that_pair(start):

@@ -26,7 +26,7 @@ def types(scalar):
 
 @functools.cache
 def cpu_flags() -> str:
-    """Compiler flags for the kernel that takes most of the time: fused multiply-add, worth a tenth.
+    """Compiler flags for the kernels that take most of the time: fused multiply-add, worth a tenth.
 
     With AVX2 instead of all that the processor has (AVX-512) single precision is faster by another tenth. LLVM's
     options are those of all other kernels: a process has one set of them, so that kernels of two are not compiled side

@@ -72,12 +72,12 @@ def contact_kernel(
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
         count = wp.int32(0)  # of lanes that are taken
-        used_law = wp.int32(0)
+        used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1
         end_i = wp.min(i + 1 + SPAN, last)
         s = wp.int32(-1)
-        law, material, base = wp.int32(0), wp.int32(0), wp.int32(0)
+        row, material, base = wp.int32(0), wp.int32(0), wp.int32(0)
         begin, block, end, bits = wp.int32(0), wp.int32(0), wp.int32(0), wp.int32(0)
         dt = scalar(0.0)
         position_i, velocity_i, spin_i = t.vec4(), t.vec4(), t.vec3()
@@ -90,10 +90,10 @@ def contact_kernel(
                 k = block + lowest_bit(bits)
                 bits = bits & (bits - 1)
                 gather(
-                    spheres, pairs, bond_parameters, scenes.row[s].bonds, law, base, i, k, position_i, velocity_i,
+                    spheres, pairs, bond_parameters, scenes.row[s].bonds, row, base, i, k, position_i, velocity_i,
                     spin_i, columns, ints, count,
                 )  # fmt: skip
-                used_law = law + material
+                used_row = row + material
                 used_dt = dt
                 count = count + 1
                 full = count == LANES
@@ -114,7 +114,7 @@ def contact_kernel(
                         if flags[s, HALTED] == 0:
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
-                            law = scenes.row[s].laws + material * scenes.row[s].materials
+                            row = scenes.row[s].laws + material * scenes.row[s].materials
                             # The displacement that led here is that of the step before.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
@@ -133,14 +133,14 @@ def contact_kernel(
                             if bits != before:
                                 spheres.touching[i] = bits
                         lost = part_entries(
-                            spheres, pairs, pair_parameters, law, base, first, last, position_i[3], velocity_i[3],
+                            spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3],
                             block, end, parted,
                         )  # fmt: skip
                         if wp.static(dissipation):
                             if lost != wp.float64(0.0):
                                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
             if full and count > 0:
-                evaluate(columns, ints, pair_parameters, used_law, used_dt)
+                evaluate(columns, ints, pair_parameters, used_row, used_dt)
                 give(spheres, pairs, first, last, columns, ints, count)
                 count = 0
 

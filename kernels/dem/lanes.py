@@ -21,6 +21,11 @@ from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
 LANES = wp.constant(32)
+BOND = (
+    "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",
+    "moment_factor",
+)  # fmt: skip
+"""Parameters of a bond, in the order of their columns."""
 
 
 @functools.cache
@@ -83,7 +88,7 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
     """Where the columns of each quantity begin: `numbers` and `integers`, and how many places there are of each."""
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
-    numbers |= dict(bond=7, bond_force=4, bond_moment=4) if bonds else {}
+    numbers |= dict(bond=len(BOND), bond_force=4, bond_moment=4) if bonds else {}
     numbers |= dict(force=3, moment_i=3, moment_j=3, lost=1)
     begins, end = {}, 0
     for name, width in numbers.items():
@@ -290,6 +295,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
 def bond_columns(scalar, at: int):
     """`read_bond` and `write_bond`: a bond's parameters in columns from `at` on."""
     Bond = bond_functions(scalar).Bond
+    assert tuple(Bond.vars) == BOND
     Columns = wp.array(dtype=scalar)
     f = column_functions(scalar)
     get, put = f.get, f.put

@@ -106,7 +106,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
     in rounds only.
 
-    In the half list `first` and `last` bound the chunk of spheres whose pairs are counted.
+    In the half list `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number of the
+    thread, 0 on a GPU.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -5,9 +5,7 @@ Arrays are flat over all scenes of a batch. Indices that an array holds (`bodies
 Faces, corners and axis segments, which no state holds, count over the whole batch. What the features of a scene do not
 need has no rows.
 
-Beside them stands `flags`, an array of the slots of `common.control`, shape (scenes, FLAGS). It is no member of
-`Scenes`: with it there, the compiler of CPU kernels fuses other products and sums of a contact than it does without,
-and results would differ in their last digits from those of earlier versions.
+Beside them stands `flags`, an array of the slots of `common.control`, shape (scenes, FLAGS), no member of `Scenes`.
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 Where another process wants a core, the thread that shares it is late at every barrier by a slice of the scheduler,
 milliseconds, and all wait for it. Then one thread had better do the work of all, chunk by chunk: what it computes is
-the same.
+the same. Threads that are as many as the cores take one each.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Crowding:
         if late - self._late <= LATE * self._stepped:
             self._sure, self._suspected, self._hold = True, False, HOLD[0]
         elif not self._suspected:
-            self._sure, self._suspected = False, True  # threads that set out may be late once
+            self._sure, self._suspected = False, True  # one late window may be chance
         else:
             self.crowded, self._suspected = True, False
             self._until = time.monotonic() + self._hold

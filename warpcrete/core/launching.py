@@ -13,7 +13,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -318,12 +318,15 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages that chunks have apart, each on a thread of its own."""
+        """Launch stages that chunks have apart, each on a thread of its own while that is so of steps."""
         for stage in stages:
             stage.record()
-        self._together(stages)
+        if self.crowding.crowded:  # as steps are
+            self._together([lambda: [stage() for stage in stages]])
+        else:
+            self._together(stages)
 
-    def _together(self, calls: list[Callable[[], None]]) -> None:
+    def _together(self, calls: Sequence[Callable[[], Any]]) -> None:
         if self._pool is None:
             for call in calls:
                 call()

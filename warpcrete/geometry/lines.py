@@ -183,7 +183,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     Raises :class:`SceneError` for what is no file, or none of such lines.
     """
     if not isinstance(name, (str, Path)):
-        refuse("line", name, "must be the name of a file", "in Python line_of makes one of a mapping")
+        refuse("line", name, "must be the name of a file", "write one: see --help")
     path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
     if not path.is_file():
         refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")

@@ -72,7 +72,7 @@ def _zhan(found: Reproduction) -> Iterator[str]:
     sizes = (
         "coarse spheres of 15 to 40 mm for its clumps of 5 to 20 (--quick)" if found.quick else "four clump templates"
     )
-    yield f"{len(found.results)} runs, {found.seeds} seed(s) each, {sizes}."
+    yield f"{len(found.results)} results, {found.seeds} seed(s) each, {sizes}."
     for name in ran(found):
         yield f"- **{name}**: {WHAT[name]}."
     yield ""
