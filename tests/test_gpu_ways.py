@@ -30,6 +30,7 @@ from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem import links
+from warpcrete.kernels.dem.motion import clump_kernel
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
@@ -296,7 +297,7 @@ def kernels_of_a_step(pick):
             law, wall_law = features.pair_law, features.wall_law
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
-                links.link_kernel(batch.scalar, law, True, True, True, True, True, links.WARP),
+                clump_kernel(batch.scalar, True, True, True, False, True, True, links.WARP),
                 links.surface_kernel(batch.scalar, wall_law, True, True, False, links.WARP),
                 *body_kernels(batch.scalar, True, False, True),
                 pair_kernel(batch.scalar, law, False, True, True, True),

@@ -1,11 +1,9 @@
 """Contacts between spheres on a GPU: a thread a pair, and sums of each sphere's in a fixed order.
 
-Lists hold every pair at both spheres; a *link* is a pair once. A warp looks at some links for each of its threads,
-and shares out those that touch, so that all its threads work on contacts together: most links of a list do not touch.
-What a link gives stands at both entries of its pair, and is added up for each sphere in the order of the list, by the
-kernel that moves plain spheres, or by one of its own where they are clumps' (a clump's spheres are too few threads):
-forces need no atomic, and bits depend on no order of threads. Planes and pipes have a kernel of their own,
-a thread a sphere, which runs beside those two.
+Lists hold every pair at both spheres; a *link* is a pair once. A step looks at those that are `near`: most links of a
+list do not touch. What a link gives stands at both entries of its pair, and is added up for each sphere in the order of
+the list, by the kernel that moves bodies: forces need no atomic, and bits depend on no order of threads. Planes and
+pipes have a kernel of their own, a thread a sphere, which runs beside.
 """
 
 import functools
@@ -77,21 +75,26 @@ def pull_functions(scalar):
     return pull, pulled
 
 
-def warp_functions(width: int) -> SimpleNamespace:
-    """`ballot` (a bit for each thread of a warp for which something holds), `count_bits`, and `find_bit` (place of the
-    n-th bit that is set, from 0)."""
+@functools.cache
+def warp_functions(scalar, width: int) -> SimpleNamespace:
+    """What threads of a warp do together, all of them: `anywhere` (does something hold for any), `from_lane` (a number
+    that another has; `energy_from_lane` in double precision), `settle` (what any has read, others may now write)."""
     alone = width == 1
+    taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
 
-    @wp.func_native("return holds ? 1 : 0;" if alone else "return __ballot_sync(0xffffffffu, holds);")
-    def ballot(holds: wp.bool) -> wp.int32: ...
+    @wp.func_native("return holds;" if alone else "return __any_sync(0xffffffffu, holds);")
+    def anywhere(holds: wp.bool) -> wp.bool: ...
 
-    @wp.func_native("return bits;" if alone else "return __popc(bits);")
-    def count_bits(bits: wp.int32) -> wp.int32: ...
+    @wp.func_native(taken)
+    def from_lane(value: scalar, lane: wp.int32) -> scalar: ...
 
-    @wp.func_native("return 0;" if alone else "return __fns(bits, 0, n + 1);")
-    def find_bit(bits: wp.int32, n: wp.int32) -> wp.int32: ...
+    @wp.func_native(taken)
+    def energy_from_lane(value: wp.float64, lane: wp.int32) -> wp.float64: ...
 
-    return SimpleNamespace(ballot=ballot, count_bits=count_bits, find_bit=find_bit)
+    @wp.func_native("" if alone else "__syncwarp();")
+    def settle(): ...
+
+    return SimpleNamespace(anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle)
 
 
 @functools.cache
@@ -107,7 +110,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
     xyz = vector_functions(scalar).xyz
-    read_vec4 = row_functions(scalar).read_vec4
+    read_int = row_functions(scalar).read_int
     pull, _ = pull_functions(scalar)
     mark = mark_function(scalar)
 
@@ -143,19 +146,10 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
 
     @wp.func
     def looks(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links,
-        parameters: wp.array(dtype=Parameters), p: wp.int32,
+        scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
+        p: wp.int32, s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ) -> wp.bool:  # fmt: skip
-        if p >= links.link.shape[0]:
-            return False
-        link = links.link[p]
-        s = links.scene[p]
-        if link[0] < 0 or flags[s, HALTED] != 0:
-            return False
-        base = scenes.row[s].spheres
-        row = scenes.row[s].pairs
-        i, j, k = base + link[0], base + link[1], row + link[2]
-        position_i, position_j = read_vec4(spheres.position, i), read_vec4(spheres.position, j)
+        i, j, k, twin = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
         close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
         held_apart = wp.bool(False)
@@ -165,9 +159,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             if wp.static(subcycling):
                 held_apart = kind == HYDRATED  # stepped in rounds of its own
                 close = close and not held_apart
-        state = links.touched[p]
+        state = read_int(links.touched, p)
         if (close and state != 1) or (not close and state != 0):
-            twin = row + link[3]
             lost = scalar(0.0)
             if not close and state == 1 and not held_apart:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
@@ -175,8 +168,9 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             if lost > scalar(0.0):
                 after = 2  # its rows count once more
             else:
-                mark(spheres, i, link[2] - pairs.start[i + s], close)
-                mark(spheres, j, link[3] - pairs.start[j + s], close)
+                row = scenes.row[s].pairs
+                mark(spheres, i, k - row - pairs.start[i + s], close)
+                mark(spheres, j, twin - row - pairs.start[j + s], close)
             links.touched[p] = after
             if not close:
                 pull(links, k, t.vec3(), t.vec3(), lost)
@@ -207,22 +201,19 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     @wp.func
     def evaluate(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond), p: wp.int32,
+        bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
-        link = links.link[p]
-        s = links.scene[p]
-        base = scenes.row[s].spheres
-        i, j, k = base + link[0], base + link[1], scenes.row[s].pairs + link[2]
+        i, j, k, twin = ends[0], ends[1], ends[2], ends[3]
         dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
         spin_i, spin_j = read_vec3(spheres.spin, i), read_vec3(spheres.spin, j)
-        pair = pair_touch(
-            read_vec4(spheres.position, i), read_vec4(spheres.velocity, i), spin_i, read_vec4(spheres.position, j),
-            read_vec4(spheres.velocity, j), spin_j, scalar(1.0), dt,
-        )  # fmt: skip
         row = scenes.row[s].laws + read_int(spheres.material, i) * scenes.row[s].materials
         old_history = t.vec3()
         if wp.static(history):
             old_history = read_vec3(pairs.history, k)
+        pair = pair_touch(
+            position_i, read_vec4(spheres.velocity, i), spin_i, position_j, read_vec4(spheres.velocity, j), spin_j,
+            scalar(1.0), dt,
+        )  # fmt: skip
         total, new_history, lost = contact_force(
             parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
         )
@@ -236,9 +227,9 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             )
             if wp.static(healing):
                 if kind == UNBONDED:
-                    pairs.bond[scenes.row[s].pairs + link[3]] = pairs.bond[k]
+                    pairs.bond[twin] = pairs.bond[k]
             if outcome < 0:
-                pairs.bond[scenes.row[s].pairs + link[3]] = outcome
+                pairs.bond[twin] = outcome
                 if outcome == BROKEN_IN_TENSION:
                     wp.atomic_add(spheres.broken, i, wp.vec2i(1, 0))
                 else:
@@ -253,7 +244,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             lost += lost_rolling
         turn = wp.cross(pair.touch.normal, total)
         pull(links, k, total, pair.arm_i * turn + bond_moment, lost)
-        pull(links, scenes.row[s].pairs + link[3], -total, pair.arm_j * turn - bond_moment, scalar(0.0))
+        pull(links, twin, -total, pair.arm_j * turn - bond_moment, scalar(0.0))
 
     return evaluate
 
@@ -267,7 +258,7 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, w
     Parameters = law.functions(scalar).Parameters
     surface = analytic_wall_functions(scalar, law, False, dissipation, wear)
     Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
-    ballot = warp_functions(width).ballot
+    anywhere = warp_functions(scalar, width).anywhere
     t = types(scalar)
     rows = row_functions(scalar)
     read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
@@ -296,7 +287,7 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, w
             near = here and (not far or scenes.row[s].still == 0)
         force = t.vec3()
         moment = t.vec3()
-        if ballot(near) != 0:
+        if anywhere(near):
             force, moment, lost = on_walls(
                 i, scenes.row[s], near, far, wp.tid() % width, scalar(scenes.clock[s, DT_PREVIOUS]),
                 scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
@@ -312,12 +303,11 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, w
 
 
 @functools.cache
-def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool,
-                width: int):  # fmt: skip
+def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
     """Kernel over links: contacts of those that touch.
 
-    `width` is the threads of a warp (1 on a CPU), `candidates`, 1 or 4, the links that a thread looks at: a parameter,
-    since two kernels would round differently, and a scene would not have the same bits alone and in a batch.
+    Each of its threads, of which there are `threads`, takes a near link, and one more for so many as there are; then
+    links of scenes whose near ones may miss a contact.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -326,8 +316,7 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
     Bond = bond_functions(scalar).Bond
     looks = look_function(scalar, law, history, bonds, healing, subcycling, dissipation)
     evaluate = link_functions(scalar, law, history, bonds, healing, dissipation)
-    together = warp_functions(width)
-    ballot, count_bits, find_bit = together.ballot, together.count_bits, together.find_bit
+    read_vec4 = row_functions(scalar).read_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
@@ -335,7 +324,7 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         # state, read
-        candidates: wp.int32,
+        threads: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         # state, read and written
@@ -343,55 +332,31 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
         pairs: Pairs,
         links: Links,
     ):
-        lane = wp.tid() % width
-        first = wp.tid() / width * (width * candidates)
-        a = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + lane))
-        b = wp.int32(0)
-        c = wp.int32(0)
-        d = wp.int32(0)
-        if candidates > 1:
-            b = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + width + lane))
-            c = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 2 * width + lane))
-            d = ballot(looks(flags, scenes, spheres, pairs, links, pair_parameters, first + 3 * width + lane))
-        n_a = count_bits(a)
-        n_b = n_a + count_bits(b)
-        n_c = n_b + count_bits(c)
-        for rank in range(lane, n_c + count_bits(d), width):
-            p = first
-            if rank < n_a:
-                p += find_bit(a, rank)
-            elif rank < n_b:
-                p += width + find_bit(b, rank - n_a)
-            elif rank < n_c:
-                p += 2 * width + find_bit(c, rank - n_b)
+        near = links.near_count[0]
+        count = near
+        if links.near_count[1] != 0:
+            count += links.link.shape[0]
+        for q in range(wp.tid(), count, threads):
+            p, s = wp.int32(0), wp.int32(0)
+            ends = wp.vec4i(-1, -1, -1, -1)
+            if q < near:
+                ends = links.near[q]
+                p, s = links.near_link[q][0], links.near_link[q][1]
             else:
-                p += 3 * width + find_bit(d, rank - n_c)
-            evaluate(scenes, spheres, pairs, links, pair_parameters, bond_parameters, p)
+                p = q - near
+                s = links.scene[p]
+            if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
+                continue
+            if q >= near:
+                link = links.link[p]
+                if link[0] < 0:
+                    continue
+                first, row = scenes.row[s].spheres, scenes.row[s].pairs
+                ends = wp.vec4i(first + link[0], first + link[1], row + link[2], row + link[3])
+            position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
+            if looks(scenes, spheres, pairs, links, pair_parameters, p, s, ends, position_i, position_j):
+                evaluate(
+                    scenes, spheres, pairs, links, pair_parameters, bond_parameters, s, ends, position_i, position_j
+                )
 
     return link_contacts
-
-
-@functools.cache
-def gather_kernel(scalar, dissipation: bool):
-    """Kernel over the spheres of clumps in full lists: force [N] and moment [N m] of each by its links."""
-    structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
-    Links = links_struct(scalar)
-    _, pulled = pull_functions(scalar)
-    write_vec3 = row_functions(scalar).write_vec3
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def gather_contacts(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links
-    ):
-        i = wp.tid()
-        s = spheres.scene[i]
-        if flags[s, HALTED] != 0:
-            return
-        force, moment, lost = pulled(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
-        write_vec3(links.force, i, force)
-        write_vec3(links.moment, i, moment)
-        if wp.static(dissipation):
-            links.lost[i] = lost
-
-    return gather_contacts

@@ -9,7 +9,8 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions
+from .links import pull_functions, warp_functions
+from .near import NEAR
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, subcycled_struct
 
 
@@ -58,7 +59,8 @@ def motion_functions(scalar, dissipation: bool):
     """What both kinds of bodies share: drives, damping, position without lost rounding, and the test of the lists."""
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
-    Scenes = array_structs(scalar).Scenes
+    Scenes, Links = array_structs(scalar).Scenes, links_struct(scalar)
+    read_vec4 = row_functions(scalar).read_vec4
     axis = axis_functions(scalar)
     Segment, closest_on_axis = axis.Segment, axis.closest_on_axis
     single = scalar is wp.float32
@@ -102,21 +104,34 @@ def motion_functions(scalar, dissipation: bool):
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func
+    def outgrows(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
+        """Has a sphere gone so far since pairs within a skin were noted that one in contact may not be among them?"""
+        slack = scalar(0.5) * skin - (radius - built[3])
+        return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)
+
+    @wp.func
     def outgrows_lists(
         scenes: Scenes, s: wp.int32, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3, meshes: bool
     ):
         """Has a sphere gone so far since the build that lists may miss a contact in the next step?"""
-        moved = place - xyz(built)
-        grown = radius - built[3]
-        slack = scalar(0.5) * scenes.row[s].skin - grown
-        late = wp.length_sq(moved - drift) > slack * slack or slack < scalar(0.0)
+        late = outgrows(scenes.row[s].skin, place, radius, built, drift)
         if meshes:
-            late = late or wp.length(moved) + grown > scenes.row[s].sphere_allowance
+            moved = wp.length(place - xyz(built)) + (radius - built[3])
+            late = late or moved > scenes.row[s].sphere_allowance
         return late
+
+    @wp.func
+    def watch_near(scenes: Scenes, links: Links, s: wp.int32, i: wp.int32, place: t.vec3, radius: scalar):
+        """Note where sphere i has gone so far that near links may miss a contact in the next step."""
+        gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.seen_at[s]
+        drift = scalar(gone) * scenes.reference_velocity[s]
+        if outgrows(scalar(wp.static(NEAR)) * scenes.row[s].skin, place, radius, read_vec4(links.seen, i), drift):
+            links.outrun[s] = 1
+            links.near_count[1] = 1
 
     return SimpleNamespace(
         Segment=Segment, drive_force_at=drive_force_at, damped=damped, moved_on=moved_on, drift_of=drift_of,
-        outgrows_lists=outgrows_lists,
+        outgrows_lists=outgrows_lists, watch_near=watch_near,
     )  # fmt: skip
 
 
@@ -136,7 +151,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    drift_of, outgrows_lists = motion.drift_of, motion.outgrows_lists
+    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
     Links = links_struct(scalar)
@@ -219,6 +234,8 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             drift = drift_of(scenes, s)
             if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
                 flags[s, LATE] = 1
+            if wp.static(not half):
+                watch_near(scenes, links, s, i, place, radius)
             write_vec4(spheres.position, i, pack(place, radius))
             write_vec4(spheres.velocity, i, pack(velocity, mass))
 
@@ -243,40 +260,75 @@ def sync_kernel(scalar):
 
 
 @functools.cache
-def gather_function(scalar, half: bool, dissipation: bool):
-    """`gather`: force and moment about its centroid that a body's spheres have met, and what their links lost; of half
-    lists they are cleared for the next step."""
+def gather_functions(scalar, dissipation: bool, width: int):
+    """What a body's spheres have met: force [N], moment about its centroid [N m]. `gather` of half lists, cleared for
+    the next step; `gather_abreast` of full ones, by so many lanes a body, and the energy that their links lost [J].
+    """
     t = types(scalar)
-    Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
+    structs = array_structs(scalar)
+    Spheres, Pairs, Links = structs.Spheres, structs.Pairs, links_struct(scalar)
     xyz = vector_functions(scalar).xyz
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
+    _, pulled = pull_functions(scalar)
+    together = warp_functions(scalar, width)
+    anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
+    settle = together.settle
 
     @wp.func
-    def gather(spheres: Spheres, links: Links, begin: wp.int32, end: wp.int32, x: t.vec3):
+    def gather(spheres: Spheres, begin: wp.int32, end: wp.int32, x: t.vec3):
+        total = t.vec3()
+        torque = t.vec3()
+        for i in range(begin, end):
+            f = read_vec3(spheres.force, i)
+            total += f
+            torque += read_vec3(spheres.moment, i) + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
+            write_vec3(spheres.force, i, t.vec3())
+            write_vec3(spheres.moment, i, t.vec3())
+        return total, torque
+
+    @wp.func
+    def gather_abreast(
+        spheres: Spheres, pairs: Pairs, links: Links, begin: wp.int32, end: wp.int32, first: wp.int32, lane: wp.int32,
+        lanes: wp.int32, row: wp.int32, scene: wp.int32, x: t.vec3,
+    ):  # fmt: skip
+        """All threads of a warp must call; `first` is where in it the body's lanes begin. Sums go by the order of the
+        spheres, whatever the number of lanes."""
         total = t.vec3()
         torque = t.vec3()
         lost = wp.float64(0.0)
-        for s in range(begin, end):
-            f = read_vec3(spheres.force, s)
-            moment = read_vec3(spheres.moment, s)
-            if wp.static(not half):
-                f += read_vec3(links.force, s)
-                moment += read_vec3(links.moment, s)
+        place = begin
+        while anywhere(place < end):
+            i = place + lane
+            f = t.vec3()
+            m = t.vec3()
+            taken = wp.float64(0.0)
+            if i < end:
+                by_links, turned, taken_by_links = pulled(spheres, pairs, links, i, row, i + scene)
+                f = read_vec3(spheres.force, i) + by_links
+                m = read_vec3(spheres.moment, i) + turned
+                m = m + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
+                taken = taken_by_links
+            for other in range(lanes):
+                total += t.vec3(
+                    from_lane(f[0], first + other), from_lane(f[1], first + other), from_lane(f[2], first + other)
+                )
+                torque += t.vec3(
+                    from_lane(m[0], first + other), from_lane(m[1], first + other), from_lane(m[2], first + other)
+                )
                 if wp.static(dissipation):
-                    lost += links.lost[s]
-            total += f
-            torque += moment + wp.cross(xyz(read_vec4(spheres.position, s)) - x, f)
-            if wp.static(half):
-                write_vec3(spheres.force, s, t.vec3())
-                write_vec3(spheres.moment, s, t.vec3())
+                    lost += energy_from_lane(taken, first + other)
+            place += lanes
+        settle()
         return total, torque, lost
 
-    return gather
+    return gather, gather_abreast
 
 
 @functools.cache
-def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool):
+def clump_kernel(
+    scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, width: int
+):
     """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
     Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
@@ -284,19 +336,22 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
     moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
     time-reversible and its energy error bounded. Bodies with stiff bonds move in rounds (`subcycling`):
     it notes the forces on them.
+
+    On a GPU, of full lists, `lanes` threads of a warp of `width` share a body: each adds up what some of its spheres
+    have met, all move it, and each carries its spheres along. Tasks are whole warps.
     """
-    span = SPAN if half else 1
+    t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
-    gather = gather_function(scalar, half, dissipation)
+    gather, gather_abreast = gather_functions(scalar, dissipation, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    drift_of, outgrows_lists = motion.drift_of, motion.outgrows_lists
+    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
     rows = row_functions(scalar)
     read_vec4, write_vec3, write_vec4 = rows.read_vec4, rows.write_vec3, rows.write_vec4
 
@@ -309,8 +364,10 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
         # chunk
         first: wp.int32,
         last: wp.int32,
+        lanes: wp.int32,
         # state, read
         scenes: Scenes,
+        pairs: Pairs,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
@@ -318,11 +375,23 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
         links: Links,
         subcycled: Subcycled,
     ):
-        begin_b = first + wp.tid() * wp.static(span)
-        for b in range(begin_b, wp.min(begin_b + wp.static(span), last)):
+        lane, stride = wp.int32(0), wp.int32(1)
+        begin_b = wp.int32(0)
+        end_b = wp.int32(0)
+        if wp.static(half):
+            begin_b = first + wp.tid() * wp.static(SPAN)
+            end_b = wp.min(begin_b + wp.static(SPAN), last)
+        else:
+            lane, stride = wp.tid() % lanes, lanes
+            begin_b = wp.tid() / lanes
+            end_b = begin_b + 1
+        for each in range(begin_b, end_b):
+            b = wp.min(each, last - 1)
             scene = bodies.scene[b]
-            if flags[scene, HALTED] != 0:
-                continue
+            here = each < last and flags[scene, HALTED] == 0
+            if wp.static(half):
+                if not here:
+                    continue
             dt = scalar(scenes.clock[scene, DT])
             kick = scalar(0.5) * scalar(scenes.clock[scene, DT] + scenes.clock[scene, DT_PREVIOUS])
             damping = scenes.row[scene].local_damping
@@ -330,10 +399,28 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
             mass = bodies.mass[b]
             begin = scenes.row[scene].spheres + bodies.first[b + scene]
             end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
+            # All that other lanes may overwrite is read before they meet.
+            velocity = bodies.velocity[b]
+            rounding = bodies.rounding[b]
+            spin_before = bodies.spin[b]
+            q = bodies.orientation[b]
+            momentum_before = bodies.angular_momentum[b]
 
-            total, torque, taken = gather(spheres, links, begin, end, x)
-            if wp.static(dissipation and not half):
-                spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + taken
+            total = t.vec3()
+            torque = t.vec3()
+            taken = wp.float64(0.0)
+            if wp.static(half):
+                total, torque = gather(spheres, begin, end, x)
+            else:
+                total, torque, taken = gather_abreast(
+                    spheres, pairs, links, begin, wp.where(here, end, begin), wp.tid() % width - lane, lane, lanes,
+                    scenes.row[scene].pairs, scene, x,
+                )  # fmt: skip
+                if not here:
+                    continue
+                if wp.static(dissipation):
+                    if lane == 0:
+                        spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + taken
             if wp.static(drives):
                 group = bodies.group[b]
                 if group > 0:
@@ -342,46 +429,47 @@ def clump_kernel(scalar, drives: bool, growth: bool, meshes: bool, half: bool, s
 
             if wp.static(subcycling):
                 if subcycled.member[b] != 0:
-                    subcycled.other_force[subcycled.member[b] - 1] = total
-                    subcycled.other_torque[subcycled.member[b] - 1] = torque
+                    if lane == 0:
+                        subcycled.other_force[subcycled.member[b] - 1] = total
+                        subcycled.other_torque[subcycled.member[b] - 1] = torque
                     continue
-            velocity = bodies.velocity[b]
             total, lost = damped(total, velocity, damping, kick)
             velocity += total * (kick / mass)
             if not (wp.length_sq(velocity) <= scenes.row[scene].speed_limit * scenes.row[scene].speed_limit):
                 if flags[scene, FAILED] == 0:
                     flags[scene, FAILED] = 1 + b - scenes.row[scene].bodies
                 continue
-            x, rounding = moved_on(x, dt * velocity, bodies.rounding[b])
-            bodies.rounding[b] = rounding
-            bodies.position[b] = x
-            bodies.velocity[b] = velocity
-
-            torque, lost_turning = damped(torque, bodies.spin[b], damping, kick)
-            if wp.static(dissipation):
-                spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + lost + lost_turning
-            q = bodies.orientation[b]
-            angular_momentum = bodies.angular_momentum[b] + kick * torque
+            x, rounding = moved_on(x, dt * velocity, rounding)
+            torque, lost_turning = damped(torque, spin_before, damping, kick)
+            angular_momentum = momentum_before + kick * torque
             spin = spin_at_middle(q, angular_momentum, bodies.inertia[b], dt)
             orientation = wp.normalize(turned(q, dt * spin))
-            bodies.angular_momentum[b] = angular_momentum
-            bodies.orientation[b] = orientation
-            bodies.spin[b] = spin
+            if lane == 0:
+                bodies.rounding[b] = rounding
+                bodies.position[b] = x
+                bodies.velocity[b] = velocity
+                bodies.angular_momentum[b] = angular_momentum
+                bodies.orientation[b] = orientation
+                bodies.spin[b] = spin
+                if wp.static(dissipation):
+                    spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + lost + lost_turning
 
             size = scalar(1.0)
             if wp.static(growth):
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
             drift = drift_of(scenes, scene)
-            for s in range(begin, end):
-                offset = read_vec4(spheres.offset, s)
+            for i in range(begin + lane, end, stride):
+                offset = read_vec4(spheres.offset, i)
                 arm = wp.quat_rotate(orientation, xyz(offset)) * size
                 place = x + arm
                 carried = velocity + wp.cross(spin, arm)
                 radius = offset[3] * size
-                if outgrows_lists(scenes, scene, place, radius, read_vec4(spheres.built, s), drift, wp.static(meshes)):
+                if outgrows_lists(scenes, scene, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
                     flags[scene, LATE] = 1
-                write_vec4(spheres.position, s, pack(place, radius))
-                write_vec4(spheres.velocity, s, pack(carried, mass))
-                write_vec3(spheres.spin, s, spin)
+                if wp.static(not half):
+                    watch_near(scenes, links, scene, i, place, radius)
+                write_vec4(spheres.position, i, pack(place, radius))
+                write_vec4(spheres.velocity, i, pack(carried, mass))
+                write_vec3(spheres.spin, i, spin)
 
     return move_clumps

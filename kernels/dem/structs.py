@@ -184,9 +184,12 @@ def links_struct(scalar):
         touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
         pull: wp.array(dtype=t.vec4)  # of each entry of the lists, two rows: force on its sphere [N], moment about its
         # centre [N m] (the first component ends the first row), and, not of twins, energy lost in this step [J]
-        force: wp.array(dtype=t.vec3)  # of all links of a sphere [N], shape (spheres,) as the rest
-        moment: wp.array(dtype=t.vec3)  # about its centre [N m]
-        lost: wp.array(dtype=wp.float64)  # energy in this step [J]
+        near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres, entry and twin, from the batch's first
+        near_link: wp.array(dtype=wp.vec2i)  # its link, and its scene
+        near_count: wp.array(dtype=wp.int32)  # how many they are, and whether some scene's no longer do, shape (2,)
+        outrun: wp.array(dtype=wp.int32)  # 1: near links of the scene may miss a contact, shape (scenes,)
+        seen: wp.array(dtype=t.vec4)  # position and radius when near links were chosen [m], shape (spheres,)
+        seen_at: wp.array(dtype=wp.float64)  # time since the lists were built then [s], shape (scenes,)
 
     return Links
 

@@ -26,7 +26,7 @@ from .contacts import contact_options
 from .motion import motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
 from .search import find_function
-from .structs import DT, DT_PREVIOUS, array_structs, subcycled_struct
+from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 PART = 0.5
 """Of the stable step by all else, that a step may have."""
@@ -286,6 +286,7 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
     turned, spin_at_middle = rotation_functions(scalar)
     motion = motion_functions(scalar, False)
     moved_on, drift_of, outgrows_lists = motion.moved_on, motion.drift_of, motion.outgrows_lists
+    watch_near, Links = motion.watch_near, links_struct(scalar)
     kicked, book = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
@@ -331,6 +332,7 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
+        links: Links,
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * wp.static(span)
@@ -366,6 +368,8 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
                 arm = wp.quat_rotate(orientation, xyz(offset))
                 if outgrows_lists(scenes, s, x + arm, offset[3], spheres.built[i], drift, wp.static(meshes)):
                     flags[s, LATE] = 1
+                if wp.static(not half):
+                    watch_near(scenes, links, s, i, x + arm, offset[3])
                 spheres.position[i] = pack(x + arm, offset[3])
                 spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), subcycled.mass[q])
                 spheres.spin[i] = spin

@@ -80,7 +80,9 @@ def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
 class Stage:
     """One kernel launch, recorded once and replayed until an array of its changes.
 
-    On a GPU stages that are `beside` run at the same time as those that follow, up to one that `meets` them.
+    On a GPU stages that are `beside` run at the same time as those that follow, up to one that `meets` them; all that
+    are beside a step's others run one after the other. One that is taken `every` so many steps goes before the first
+    of as many in a graph, but for graphs of less than half of that.
     """
 
     def __init__(
@@ -93,9 +95,10 @@ class Stage:
         block: int | None = None,
         beside: bool = False,
         meets: bool = False,
+        every: int = 1,
     ) -> None:
         self.kernel, self.dim, self.device = kernel, dim, device
-        self.beside, self.meets = beside, meets
+        self.beside, self.meets, self.every = beside, meets, every
         self.arguments = bound(kernel, named)
         self.block = (block or block_size(dim)) if parallel(device) else 1
         self._command: Any = None
@@ -348,11 +351,12 @@ class Launcher:
         graphs = []
         for part in step:
             with wp.ScopedCapture(device=self.device) as capture:
-                for _ in range(size):
+                for turn in range(size):
+                    due = [stage for stage in part if turn % stage.every == 0 and 2 * size >= stage.every]
                     if parallel(self.device) and self.device.is_cuda:
-                        _launch_beside(part, self.device)
+                        _launch_beside(due, self.device)
                     else:
-                        for stage in part:
+                        for stage in due:
                             stage()
             graphs.append(capture.graph)
         return graphs
@@ -376,17 +380,18 @@ def at_once(stages: list[Stage], device: Any) -> Callable[[], None]:
 
 def _launch_beside(stages: list[Any], device: Any) -> None:
     """Launch a GPU's stages into the graph that is captured, those that are `beside` on a stream of their own."""
-    main, side = device.stream, None
+    main, side, apart = device.stream, None, False
     for stage in stages:
         if stage.beside:
             if side is None:
                 side = wp.Stream(device)
                 side.wait_event(main.record_event())
             stage(side)
+            apart = True
             continue
-        if stage.meets and side is not None:
+        if stage.meets and side is not None and apart:
             main.wait_event(side.record_event())
-            side = None
+            apart = False
         stage()
-    if side is not None:
+    if side is not None and apart:
         main.wait_event(side.record_event())

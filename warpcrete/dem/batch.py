@@ -323,14 +323,14 @@ class Batch:
     # Launching.
 
     def stage(
-        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, block: int | None = None,
-        **named: Any,
+        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
+        block: int | None = None, **named: Any,
     ) -> Stage:  # fmt: skip
         """A launch of a kernel; parameters that are not `named` are the batch's attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, block=block)
+        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, every=every, block=block)
 
     def invalidate_graphs(self) -> None:
         """Recorded launches hold arrays or chunks that are no more."""

@@ -26,8 +26,8 @@ def make_links(batch: Any) -> Any:
     """Links with as much room as the lists of a :class:`Batch` have; no pair is known yet. A CPU has none."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
-    n = batch.sphere_count if batch.parallel and batch.features.clumps else 0
-    sizes = {"pull": 2 * lists, "force": n, "moment": n, "lost": n if batch.features.dissipation else 0}
+    few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
+    sizes = {"pull": 2 * lists, **(few if batch.parallel else dict.fromkeys(few, 0))}
     links = struct()
     for name, variable in struct.vars.items():
         made = wp.zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
@@ -35,6 +35,8 @@ def make_links(batch: Any) -> Any:
     if batch.parallel:
         links.link.fill_(-1)
         links.scene.assign(np.repeat(np.arange(batch.count, dtype=np.int32), batch.capacity // 2))
+        links.outrun.fill_(1)  # near links are chosen when lists have been built
+        links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
 
 

@@ -42,8 +42,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         listing += 4 * listed + 4  # what a search finds, and where
     else:
         listing += 4 * MOST_KEPT  # what a search finds
-        # Links, each two entries of a list: the pair, its scene and state; what it gives at both; a sphere's sums.
-        listing += listed * (12 + 8 * scalar) + (6 * scalar if model.features.clumps else 0)
+        # Links, each two entries of a list: the pair, its scene and state, the same again where near; what it gives
+        # at both; where a sphere was when near ones were chosen.
+        listing += listed * (24 + 8 * scalar) + 4 * scalar
     if model.features.subcycling and model.scene.hydration is not None:
         # Three pairs a sphere at most, as many of them stiff as are hydrated; bodies that have some.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar

@@ -20,7 +20,7 @@ from ..kernels.dem.search import full_search_kernels, half_search_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
 from .batch import MAXIMUM_ENTRIES, Batch
 from .cells import Cells
-from .stages import MANY, tasks
+from .stages import MANY, near_stages, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
@@ -53,6 +53,8 @@ class _Launches:
     clear_stale: Stage
     links: list[Stage] = field(default_factory=list)
     """Clearing, count and fill of a GPU's links."""
+    near: list[Stage] = field(default_factory=list)
+    """What chooses those of them that are near."""
     faces: list[Stage] = field(default_factory=list)
     """Count, starts and fill of mesh candidates."""
 
@@ -153,6 +155,8 @@ class NeighborLists:
         b.subcycles.locate()
         launches.drift()
         launches.clear_stale()
+        for stage in launches.near:
+            stage()
         b.device_changed()
         b.ahead.built()
 
@@ -172,8 +176,11 @@ class NeighborLists:
         flags = before.copy()
         flags[:, int(STALE)] = np.arange(self.batch.count) == s
         self.batch.flags.assign(flags)
-        self._link(self._launches(False))
+        launches = self._launches(False)
+        self._link(launches)
         self.batch.flags.assign(before)
+        for stage in launches.near:
+            stage()
 
     def kernels(self) -> list[Any]:
         """Kernels and stages of all that it launches."""
@@ -184,7 +191,7 @@ class NeighborLists:
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         return [
             each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.fill, *each.transfer,
-            *each.links, *each.faces, *([each.stretch] if b.features.bonds else []),
+            *each.links, *each.near, *each.faces, *([each.stretch] if b.features.bonds else []),
             invert, *order, *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
 
@@ -305,6 +312,7 @@ class NeighborLists:
                 b.stage(linking.count_own, n, count=self._count),
                 b.stage(linking.fill_links, OCTANTS * n, scanned=self._scanned),
             ]
+            launches.near = near_stages(b)
         if f.meshes:
             count_faces, fill_faces = candidate_kernels(b.scalar)
             launches.faces = [

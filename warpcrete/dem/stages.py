@@ -10,16 +10,21 @@ from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
 from ..kernels.dem.contacts import contact_kernel
-from ..kernels.dem.links import WARP, gather_kernel, link_kernel, surface_kernel
+from ..kernels.dem.links import WARP, link_kernel, surface_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import clump_kernel, sphere_kernel
+from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
 from ..kernels.dem.wall_motion import advance_kernel
 from .batch import Batch
 
 MANY = 200_000
 """Spheres from which on a thread each keeps a GPU busy while lists are built."""
-MANY_LINKS = 1_000_000
-"""Pairs of lists from which on a GPU has threads enough if each looks at four."""
+CHOSEN = 16
+"""Steps after which near links are chosen anew."""
+CLOSE_LINKS = 0.5
+"""Near links, of all that there is room for, from which on a thread takes more than one."""
+LANES = 4
+"""Threads of a GPU that share a clump, where there are few."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -58,28 +63,41 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
     return step
 
 
+def near_stages(batch: Batch) -> list[Stage]:
+    """What chooses a GPU's near links anew; nothing where lists are half ones."""
+    b = batch
+    if b.features.half_list:
+        return []
+    near = near_kernels(b.scalar, b.features.bonds)
+    whole = -(-len(b.links.link) // CHOICE_BLOCK) * CHOICE_BLOCK
+    return [
+        b.stage(near.see_spheres, max(b.sphere_count, b.count, 2), every=CHOSEN),
+        b.stage(near.choose_near, whole, block=CHOICE_BLOCK, every=CHOSEN),
+    ]
+
+
 def _full_step(batch: Batch) -> list[Stage]:
-    """Stages of a GPU: walls, from contacts to their own motion, beside the contacts of spheres."""
+    """Stages of a GPU: walls' contacts beside those of spheres, and walls' own motion beside that of bodies."""
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
-    stages = []
+    stages = near_stages(b)
     if f.walls:
         surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, f.wear, width)
         stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
-    if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
-    links = len(b.links.link)
-    candidates = 4 if links >= MANY_LINKS else 1
-    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, width)
+    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
+    threads = -(-int(CLOSE_LINKS * len(b.links.link)) // width) * width
     stages += [
         # Blocks by the spheres: kernels are compiled before there are links.
-        b.stage(kernel, -(-links // (width * candidates)) * width, candidates=candidates, block=block_size(n)),
-        *([b.stage(gather_kernel(b.scalar, f.dissipation), n)] if f.clumps else []),
+        b.stage(kernel, threads, threads=threads, block=block_size(n)),
         _motion(b, 0, b.body_count),
+    ]
+    if f.walls:
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
+    stages += [
         *(b.subcycles.stages(0) if f.subcycling else ()),
-        b.stage(clock_kernel(b.scalar, f.growth), b.count),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
         *([b.structure.stage()] if b.structure is not None else []),
     ]
     return stages
@@ -109,9 +127,14 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     """Motion of a chunk of bodies, when all forces are there."""
     b, f = batch, batch.features
     named: dict[str, Any] = {"first": first, "last": last}
+    count = tasks(b, last - first)
     if f.clumps:
-        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation)
-        named["subcycled"] = b.subcycles.arrays
+        width = warp_width(b.device)
+        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, width)
+        lanes = LANES if width > 1 and b.sphere_count < MANY else 1
+        if not f.half_list:
+            count = -(-count * lanes // width) * width
+        named |= {"subcycled": b.subcycles.arrays, "lanes": lanes}
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
-    return b.stage(kernel, tasks(b, last - first), meets=True, **named)
+    return b.stage(kernel, count, meets=True, **named)

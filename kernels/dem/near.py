@@ -1,0 +1,98 @@
+"""Links that are close: those of a GPU's pairs that may touch within the next steps, chosen every now and then.
+
+A list holds pairs within a skin that lasts for a hundred steps or more, and most of them do not touch. Near links are
+those within a part of the skin, NEAR, which lasts for so much shorter; a step looks at these alone. They are chosen
+anew every so many steps (`stages.CHOSEN`), without the host. Where a sphere goes further than they allow before that,
+its scene's links are all looked at until then: nothing is missed, and what comes of a link is the same either way.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.rows import row_functions
+from ..common.types import vector_functions
+from .structs import SINCE_BUILD, array_structs, links_struct
+
+NEAR = 0.25
+"""Of the skin of a list: how far apart two spheres of a near link are at most when it is chosen."""
+CHOICE_BLOCK = 256
+"""Threads of a block that choose; tasks are whole blocks."""
+TAKE_PLACES = """
+#if defined(__CUDA_ARCH__)
+    __shared__ int before[32], begin;
+    const int lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
+    const unsigned wanting = __ballot_sync(0xffffffffu, wants);
+    if (lane == 0) before[warp] = __popc(wanting);
+    __syncthreads();
+    if (threadIdx.x == 0) {
+        int sum = 0;
+        for (unsigned w = 0; w < (blockDim.x >> 5); ++w) {
+            const int own = before[w];
+            before[w] = sum;
+            sum += own;
+        }
+        begin = sum > 0 ? atomicAdd(count.data, sum) : 0;
+    }
+    __syncthreads();
+    return wants ? begin + before[warp] + __popc(wanting & ((1u << lane) - 1)) : -1;
+#else
+    return wants ? count.data[0]++ : -1;
+#endif
+"""
+
+
+@wp.func_native(TAKE_PLACES)
+def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
+    """Next free place of a list for each thread that wants one, else -1; all threads of a block must call. Blocks come
+    in any order, so places do too."""
+
+
+@functools.cache
+def near_kernels(scalar, bonds: bool) -> SimpleNamespace:
+    """`see_spheres` over spheres, scenes and counts, whatever are most: where spheres are now; then `choose_near` over
+    links, in whole blocks."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def see_spheres(scenes: Scenes, spheres: Spheres, links: Links):
+        i = wp.tid()
+        if i < spheres.position.shape[0]:
+            write_vec4(links.seen, i, read_vec4(spheres.position, i))
+        if i < scenes.row.shape[0]:
+            links.seen_at[i] = scenes.clock[i, SINCE_BUILD]
+            links.outrun[i] = 0
+        if i < 2:
+            links.near_count[i] = 0
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def choose_near(scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links):
+        p = wp.tid()
+        near = wp.bool(False)
+        link = wp.vec4i(-1, -1, -1, -1)
+        s = wp.int32(0)
+        if p < links.link.shape[0]:
+            link = links.link[p]
+            s = links.scene[p]
+        first = scenes.row[s].spheres
+        row = scenes.row[s].pairs
+        if link[0] >= 0:
+            a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
+            reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
+            near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
+            # What remembers a touch must be told that it is over, and bonds hold whatever is between.
+            near = near or links.touched[p] != 0
+            if wp.static(bonds):
+                near = near or pairs.bond[row + link[2]] != 0
+        place = take_place(links.near_count, near)
+        if near:
+            links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], row + link[3])
+            links.near_link[place] = wp.vec2i(p, s)
+
+    return SimpleNamespace(see_spheres=see_spheres, choose_near=choose_near)
