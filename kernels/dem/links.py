@@ -53,18 +53,27 @@ def pull_functions(scalar):
         end = row + read_int(pairs.start, slot + 1)
         left = read_int(spheres.touching, i)
         while left != 0:
-            # Two at a time: while one is waited for, the other comes.
+            # Four at a time: while one is waited for, the others come.
             k = begin + lowest_bit(left)
             left = left & (left - 1)
             a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            c, d = t.vec4(), t.vec4()
+            c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
             if left != 0:
                 k = begin + lowest_bit(left)
                 left = left & (left - 1)
                 c, d = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            force = (force + xyz(a)) + xyz(c)
+            if left != 0:
+                k = begin + lowest_bit(left)
+                left = left & (left - 1)
+                e, f = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+            if left != 0:
+                k = begin + lowest_bit(left)
+                left = left & (left - 1)
+                g, h = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+            force = (((force + xyz(a)) + xyz(c)) + xyz(e)) + xyz(g)
             moment = (moment + t.vec3(a[3], b[0], b[1])) + t.vec3(c[3], d[0], d[1])
-            lost += wp.float64(b[2]) + wp.float64(d[2])
+            moment = (moment + t.vec3(e[3], f[0], f[1])) + t.vec3(g[3], h[0], h[1])
+            lost += (wp.float64(b[2]) + wp.float64(d[2])) + (wp.float64(f[2]) + wp.float64(h[2]))
         for k in range(begin + BLOCK, end):  # no bits tell of these
             a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
             force += xyz(a)

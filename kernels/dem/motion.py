@@ -14,6 +14,11 @@ from .near import NEAR
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, subcycled_struct
 
 
+def motion_options(half: bool) -> dict:
+    """Of the compiler: a GPU divides as for contacts, see :func:`contacts.contact_options`."""
+    return {"fast_math": not half}
+
+
 @functools.cache
 def rotation_functions(scalar):
     """Quaternion turn by a rotation vector (not normalised), and the spin that an angular momentum gives."""
@@ -22,6 +27,14 @@ def rotation_functions(scalar):
     @wp.func
     def turned(q: t.quat, rotation: t.vec3):
         a = wp.length_sq(rotation)
+        part = scalar(1.0)
+        doublings = wp.int32(0)
+        # A turn by more than 0.1 rad is one by a part of it, doubled: a GPU's sines take more instructions than all else
+        # that a body does.
+        while a > scalar(0.01) and doublings < 40:
+            a = scalar(0.25) * a
+            part = scalar(0.5) * part
+            doublings += 1
         # sin(x / 2) / x and cos(x / 2) in powers of x^2: below 0.1 rad right to the last digit of double precision.
         s = scalar(wp.static(1 / 2)) - a * (
             scalar(wp.static(1 / 48)) - a * (scalar(wp.static(1 / 3840)) - a * scalar(wp.static(1 / 645120)))
@@ -31,11 +44,12 @@ def rotation_functions(scalar):
             - a
             * (scalar(wp.static(1 / 384)) - a * (scalar(wp.static(1 / 46080)) - a * scalar(wp.static(1 / 10321920))))
         )
-        if a > scalar(0.01):
-            angle = wp.sqrt(a)
-            s = wp.sin(scalar(0.5) * angle) / angle
-            c = wp.cos(scalar(0.5) * angle)
-        return t.quat(s * rotation[0], s * rotation[1], s * rotation[2], c) * q
+        s = s * part
+        turn = t.quat(s * rotation[0], s * rotation[1], s * rotation[2], c)
+        while doublings > 0:
+            turn = turn * turn
+            doublings -= 1
+        return turn * q
 
     @wp.func
     def spin_of(q: t.quat, angular_momentum: t.vec3, inertia: t.vec3):
@@ -47,8 +61,10 @@ def rotation_functions(scalar):
         """Spin in the middle of the turn that it makes in a step, by a fixed-point iteration."""
         spin = spin_of(q, angular_momentum, inertia)
         if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
-            for iteration in range(3):
+            iteration = wp.int32(0)
+            while iteration < 3:  # not unrolled
                 spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
+                iteration += 1
         return spin
 
     return turned, spin_at_middle
@@ -157,7 +173,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     Links = links_struct(scalar)
     _, pulled = pull_functions(scalar)
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
         # model
         segments: wp.array(dtype=Segment),
@@ -337,8 +353,8 @@ def clump_kernel(
     time-reversible and its energy error bounded. Bodies with stiff bonds move in rounds (`subcycling`):
     it notes the forces on them.
 
-    On a GPU, of full lists, `lanes` threads of a warp of `width` share a body: each adds up what some of its spheres
-    have met, all move it, and each carries its spheres along. Tasks are whole warps.
+    On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
+    spheres have met, all move it, and each carries its spheres along. Tasks are whole warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -355,7 +371,7 @@ def clump_kernel(
     rows = row_functions(scalar)
     read_vec4, write_vec3, write_vec4 = rows.read_vec4, rows.write_vec3, rows.write_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
         # model
         segments: wp.array(dtype=Segment),
@@ -364,7 +380,7 @@ def clump_kernel(
         # chunk
         first: wp.int32,
         last: wp.int32,
-        lanes: wp.int32,
+        lane_bits: wp.int32,
         # state, read
         scenes: Scenes,
         pairs: Pairs,
@@ -375,6 +391,7 @@ def clump_kernel(
         links: Links,
         subcycled: Subcycled,
     ):
+        lanes = 1 << lane_bits
         lane, stride = wp.int32(0), wp.int32(1)
         begin_b = wp.int32(0)
         end_b = wp.int32(0)
@@ -382,8 +399,8 @@ def clump_kernel(
             begin_b = first + wp.tid() * wp.static(SPAN)
             end_b = wp.min(begin_b + wp.static(SPAN), last)
         else:
-            lane, stride = wp.tid() % lanes, lanes
-            begin_b = wp.tid() / lanes
+            lane, stride = wp.tid() & (lanes - 1), lanes
+            begin_b = wp.tid() >> lane_bits
             end_b = begin_b + 1
         for each in range(begin_b, end_b):
             b = wp.min(each, last - 1)

@@ -23,8 +23,8 @@ CHOSEN = 16
 """Steps after which near links are chosen anew."""
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
-LANES = 4
-"""Threads of a GPU that share a clump, where there are few."""
+LANE_BITS = 2
+"""Of the number of a GPU's threads that share a clump, where there are few."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -131,10 +131,10 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     if f.clumps:
         width = warp_width(b.device)
         kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, width)
-        lanes = LANES if width > 1 and b.sphere_count < MANY else 1
+        bits = LANE_BITS if width > 1 and b.sphere_count < MANY else 0
         if not f.half_list:
-            count = -(-count * lanes // width) * width
-        named |= {"subcycled": b.subcycles.arrays, "lanes": lanes}
+            count = -(-(count << bits) // width) * width
+        named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
     return b.stage(kernel, count, meets=True, **named)
