@@ -29,8 +29,7 @@ def rotation_functions(scalar):
         a = wp.length_sq(rotation)
         part = scalar(1.0)
         doublings = wp.int32(0)
-        # A turn by more than 0.1 rad is one by a part of it, doubled: a GPU's sines take more instructions than all else
-        # that a body does.
+        # A turn by more than 0.1 rad is one by a part of it, doubled: sines take a GPU more instructions than all else.
         while a > scalar(0.01) and doublings < 40:
             a = scalar(0.25) * a
             part = scalar(0.5) * part

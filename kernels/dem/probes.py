@@ -25,6 +25,7 @@ DEPTH_MAX = wp.constant(8)  # overlap over what swallows a sphere or halves the 
 BROKEN_TENSION = wp.constant(9)  # bonds broken by tension since the start
 BROKEN_SHEAR = wp.constant(10)  # bonds broken by shear since the start
 CONTACT_COLUMNS = wp.constant(11)
+ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
 CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # of these columns the largest counts, of the others the sum
 
 # Columns of the per-body sums.
@@ -151,7 +152,7 @@ def body_probe(scalar):
 
 @functools.cache
 def pair_probe_function(scalar, law, history: bool, bonds: bool):
-    """`measure_pair`: adds what a listed pair brings to the row of sphere i; returns its normal force [N]."""
+    """`measure_pair`: its normal force [N], and the `sums` of sphere i with what a listed pair brings to them."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -176,11 +177,10 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
         bodies: Bodies,
         spheres: Spheres,
         pairs: Pairs,
-        values: wp.array2d(dtype=wp.float64),
+        sums: ContactRow,
     ):
         zero = scalar(0.0)
         normal_force = zero
-        row = spheres.id[i]
         half_step = scalar(0.5) * scalar(scenes.clock[s, DT_PREVIOUS])
         radius_i = spheres.position[i][3]
         radius_j = spheres.position[j][3]
@@ -194,37 +194,37 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
         p = parameters[scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials + spheres.material[j]]
         if overlap > zero:
             relative = wp.float64(overlap / smaller)
-            values[row, CONTACTS] = values[row, CONTACTS] + wp.float64(1.0)
-            values[row, OVERLAP_SUM] = values[row, OVERLAP_SUM] + relative
-            values[row, OVERLAP_MAX] = wp.max(values[row, OVERLAP_MAX], relative)
+            sums[CONTACTS] += wp.float64(1.0)
+            sums[OVERLAP_SUM] += relative
+            sums[OVERLAP_MAX] = wp.max(sums[OVERLAP_MAX], relative)
             deep = wp.float64(overlap / wp.min(scalar(2.0) * smaller, scalar(0.5) * (radius_i + radius_j)))
-            values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], deep)
+            sums[DEPTH_MAX] = wp.max(sums[DEPTH_MAX], deep)
             touch = sphere_touch(n, -overlap, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
             push, unused, unused_loss = pair_force(p, touch, t.vec3(), zero)
             normal_force = -wp.dot(push, n)
             first_body = scenes.row[s].bodies
             branch = bodies.position[first_body + spheres.body[j]] - bodies.position[first_body + spheres.body[i]]
-            values[row, VIRIAL] = values[row, VIRIAL] - wp.float64(wp.dot(push, n) * wp.dot(branch, n))
+            sums[VIRIAL] -= wp.float64(wp.dot(push, n) * wp.dot(branch, n))
         if middle > zero:
             held = t.vec3()
             if wp.static(history):
                 held = pairs.history[k]
             touch = sphere_touch(n, -middle, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
-            values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(pair_energy(p, touch, held))
+            sums[ELASTIC_ENERGY] += wp.float64(pair_energy(p, touch, held))
             if wp.static(rolls):
                 turned = moment_energy(p, touch, pairs.rolling[k])
-                values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(turned)
+                sums[ELASTIC_ENERGY] += wp.float64(turned)
         if wp.static(bonds):
             kind = pairs.bond[k]
             if kind > 0:
                 touch = sphere_touch(n, zero, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
                 b = bond_parameters[scenes.row[s].bonds + kind]
                 stored = bond_energy(b, touch, pairs.bond_force[k], pairs.bond_moment[k])
-                values[row, BOND_ENERGY] = values[row, BOND_ENERGY] + wp.float64(stored)
-                values[row, BONDED] = values[row, BONDED] + wp.float64(1.0)
+                sums[BOND_ENERGY] += wp.float64(stored)
+                sums[BONDED] += wp.float64(1.0)
                 if kind == HYDRATED:
-                    values[row, BONDED_HYDRATED] = values[row, BONDED_HYDRATED] + wp.float64(1.0)
-        return normal_force
+                    sums[BONDED_HYDRATED] += wp.float64(1.0)
+        return normal_force, sums
 
     return measure_pair
 
@@ -304,12 +304,10 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         zero = scalar(0.0)
         base = scenes.row[s].spheres
         half_step = scalar(0.5) * scalar(scenes.clock[s, DT_PREVIOUS])
-        row = spheres.id[i]
-        for c in range(CONTACT_COLUMNS):
-            values[row, c] = wp.float64(0.0)
+        sums = ContactRow()
         if wp.static(bonds):
-            values[row, BROKEN_TENSION] = wp.float64(spheres.broken[i][0])
-            values[row, BROKEN_SHEAR] = wp.float64(spheres.broken[i][1])
+            sums[BROKEN_TENSION] = wp.float64(spheres.broken[i][0])
+            sums[BROKEN_SHEAR] = wp.float64(spheres.broken[i][1])
         x = xyz(spheres.position[i])
         radius = spheres.position[i][3]
         velocity = xyz(spheres.velocity[i])
@@ -320,11 +318,12 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
             counts = entry >= 0
             if wp.static(half):
                 counts = counts or (j >= first and j < last)
-            pair_normal_force[k - first_entry] = zero
+            normal_force = zero
             if counts:
-                pair_normal_force[k - first_entry] = measure_pair(
-                    i, j, s, k, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, values
+                normal_force, sums = measure_pair(
+                    i, j, s, k, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, sums
                 )
+            pair_normal_force[k - first_entry] = normal_force
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
@@ -345,13 +344,16 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                     overlap = slots.overlap[i, slot]
             if known:
                 middle = overlap + towards * wp.dot(walls.velocity[w] - velocity, n)
-                values[row, DEPTH_MAX] = wp.max(values[row, DEPTH_MAX], wp.float64(overlap / radius))
+                sums[DEPTH_MAX] = wp.max(sums[DEPTH_MAX], wp.float64(overlap / radius))
                 if middle > zero and wp.length_sq(n) > zero:
                     touch = wall_touch(n, -middle, t.vec3(), zero, radius, spheres.velocity[i][3])
                     p_wall = wall_parameters[material + walls.table[w].material]
                     stored = wall_energy(p_wall, touch, slots.history[i, slot])
                     if wp.static(rolls):
                         stored += wall_moment_energy(p_wall, touch, slots.rolling[i, slot])
-                    values[row, ELASTIC_ENERGY] = values[row, ELASTIC_ENERGY] + wp.float64(stored)
+                    sums[ELASTIC_ENERGY] += wp.float64(stored)
+        row = spheres.id[i]
+        for c in range(CONTACT_COLUMNS):
+            values[row, c] = sums[c]
 
     return measure_contacts

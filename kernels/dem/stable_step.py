@@ -24,6 +24,21 @@ from .stiffness import estimate_struct, pair_stiffness_function, stiffness_funct
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
 
+ESTIMATE_LANES = 8
+"""Threads of a GPU's warp that share a sphere: they read its row of the list together."""
+LANES_TOTAL = """
+#if defined(__CUDA_ARCH__)
+    const unsigned lanes = 0xffu << (threadIdx.x & 24);
+    for (int away = 4; away > 0; away /= 2) value += __shfl_xor_sync(lanes, value, away);
+#endif
+    return value;
+"""
+
+
+def estimate_options(half: bool) -> dict:
+    """Of the compiler, as for contacts; see :func:`contacts.contact_options`."""
+    return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
+
 
 @functools.cache
 def begin_kernel(scalar):
@@ -102,14 +117,15 @@ def noting_functions(scalar):
 
 
 @functools.cache
-def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool):
+def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
     in rounds only.
 
     In the half list `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number of the
-    thread, 0 on a GPU.
+    thread, 0 on a GPU, where so many `lanes` of a warp share a sphere.
     """
     t = types(scalar)
+    vec6 = wp.types.vector(6, scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
         structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
@@ -118,7 +134,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     PairParameters = pair_law.functions(scalar).Parameters
     WallParameters, wall_stiffness = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).stiffness
     Bond = bond_functions(scalar).Bond
-    add_pairs = pair_stiffness_function(scalar, pair_law, half, bonds, subcycling).add_pairs
+    add_pairs = pair_stiffness_function(scalar, pair_law, half, bonds, subcycling, lanes).add_pairs
     matrices = stiffness_functions(scalar)
     outer, turning = matrices.outer, matrices.turning
     wall_touch = contact_functions(scalar).wall_touch
@@ -129,7 +145,18 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": cpu_flags()})
+    @wp.func_native(LANES_TOTAL)
+    def lanes_total(value: scalar) -> scalar: ...
+
+    @wp.func
+    def added_up(part: vec6):
+        """Of the lanes of a sphere; all must call."""
+        total = vec6()
+        for c in range(6):
+            total[c] = lanes_total(part[c])
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
         # model
         pair_parameters: wp.array(dtype=PairParameters),
@@ -153,7 +180,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         # written
         estimate: Estimate,
     ):
-        i = begin + wp.tid()
+        i = begin + wp.tid() / wp.static(lanes)
+        lane = wp.tid() % wp.static(lanes)
         s = spheres.scene[i]
         if due[s] == 0:
             return
@@ -164,8 +192,13 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         arm_i = xi - read_vec3(bodies.position, scenes.row[s].bodies + spheres.body[i])
         hurry(estimate, part, s, wp.length(velocity_i))
         sums = add_pairs(
-            i, s, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
+            i, s, lane, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
         )  # fmt: skip
+        if wp.static(lanes > 1):
+            sums.k, sums.c = added_up(sums.k), added_up(sums.c)
+            sums.k_turn, sums.c_turn = added_up(sums.k_turn), added_up(sums.c_turn)
+            if lane > 0:
+                return
         first_wall = scenes.row[s].walls
         for w in range(first_wall, first_wall + scenes.row[s].wall_count):
             surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
@@ -244,7 +277,7 @@ def floor_function(scalar, pair_law, wall_law):
 
 
 @functools.cache
-def reduce_kernel(scalar, pair_law, wall_law):
+def reduce_kernel(scalar, pair_law, wall_law, half: bool):
     """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums."""
     t = types(scalar)
     structs = array_structs(scalar)
@@ -261,7 +294,7 @@ def reduce_kernel(scalar, pair_law, wall_law):
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": cpu_flags()})
+    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def reduce_step(
         # model
         pair_parameters: wp.array(dtype=PairParameters),

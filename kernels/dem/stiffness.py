@@ -83,8 +83,9 @@ def stiffness_functions(scalar):
 
 
 @functools.cache
-def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool):
-    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i; a half list adds to both spheres.
+def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
+    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i, or, of full lists, of every so many
+    from the `lane`-th on; a half list adds to both spheres.
 
     With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others.
     """
@@ -116,6 +117,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
     def add_pairs(
         i: wp.int32,
         s: wp.int32,
+        lane: wp.int32,
         first: wp.int32,
         last: wp.int32,
         stiff: wp.bool,
@@ -137,7 +139,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         arm_i = xi - read_vec3(bodies.position, body_base + spheres.body[i])
         start = scenes.row[s].pairs
-        for pair in range(start + pairs.start[i + s], start + pairs.start[i + s + 1]):
+        for pair in range(start + pairs.start[i + s] + lane, start + pairs.start[i + s + 1], wp.static(lanes)):
             j = base + decode(read_int(pairs.other, pair))
             position_j = read_vec4(spheres.position, j)
             offset = xyz(position_j) - xi

@@ -16,6 +16,7 @@ import warp as wp
 
 from ..core.device import parallel
 from ..core.errors import CapacityError, refuse
+from ..core.exchange import Exchange
 from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
@@ -119,6 +120,7 @@ class Batch:
         self.links = make_links(self)
         self.subcycles = Subcycles(self)
         self.structure = Structure(self) if self.features.structure else None
+        self.exchange = Exchange(self.device)
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
@@ -372,17 +374,25 @@ class Batch:
 
     def host_flags(self) -> np.ndarray:
         """All flags as they are on the device; what is changed here goes there with the next launch."""
-        flags = self._flags
-        if flags is None:
-            flags = self._flags = self._read(self.flags)
-        return flags
+        if self._flags is None:
+            self._look()
+        assert self._flags is not None
+        return self._flags
 
     def host_clock(self) -> np.ndarray:
         """All clocks as they are on the device, to read."""
-        clock = self._clock
-        if clock is None:
-            clock = self._clock = self._read(self.scenes.clock)
-        return clock
+        if self._clock is None:
+            self._look()
+        assert self._clock is not None
+        return self._clock
+
+    def _look(self) -> None:
+        """Read flags and clocks; on a CPU they are the arrays themselves, which are always up to date."""
+        if self.parallel:
+            flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
+            self._flags = flags if self._flags is None else self._flags  # which may have been changed
+        else:
+            self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
         """What is read of the walls of a scene, as they are on the device: columns of `kernels/dem/probes.py`."""
@@ -393,21 +403,18 @@ class Batch:
                 probe = wall_probe(self.scalar)
                 self._wall_reading = Stage(probe, self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
             self._wall_reading()
-            self._walls = self._wall_values.numpy().copy()
+            (self._walls,) = self.exchange.read(self._wall_values)
         first = int(self.rows["walls"][s])
         return self._walls[first : first + int(self.rows["wall_count"][s])]
-
-    def _read(self, array: wp.array) -> np.ndarray:
-        # On a CPU the array itself, which is always up to date.
-        return array.numpy().copy() if self.parallel else array.numpy()
 
     def device_changed(self) -> None:
         """Flags or clocks on the device are, or are about to become, others than those read last."""
         if self._row_unsent:
-            self.scenes.row.assign(self.rows)
+            self.exchange.write(self.scenes.row, self.rows)
         if self.parallel:
             if self._unsent:
-                self.flags.assign(self._flags)
+                assert self._flags is not None
+                self.exchange.write(self.flags, self._flags)
             self._flags = self._clock = None
         self._walls = None
         self._unsent = self._row_unsent = False

@@ -50,6 +50,9 @@ class BlockageWatch:
         self._standing: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
+        # Of the aggregates: permanent numbers, None as long as nobody looked, and volumes [m3].
+        self._numbers: np.ndarray | None = None
+        self._volume = np.zeros(0)
 
     def state_dict(self) -> dict[str, Any]:
         """What the next look depends on, and what was found."""
@@ -88,10 +91,14 @@ class BlockageWatch:
     def _stones(self) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths [m] and volumes [m3] of the aggregates, in the order of permanent numbers."""
         bodies = self.state.bodies
-        order = np.argsort(bodies.id.numpy())
-        order = order[bodies.group.numpy()[order] == 0]
-        size = bodies.size.numpy()[order].astype(float)
-        return self.axis.along(bodies.position.numpy()[order].astype(float)), np.pi / 6 * size**3
+        place = np.empty(self.state.body_count, dtype=int)
+        place[bodies.id.numpy()] = np.arange(len(place))
+        if self._numbers is None:
+            self._numbers = np.flatnonzero(bodies.group.numpy()[place] == 0)
+            size = bodies.size.numpy()[place][self._numbers].astype(float)
+            self._volume = np.pi / 6 * size**3
+        places = bodies.position.numpy()[place[self._numbers]].astype(float)
+        return self.axis.along(places), self._volume
 
     def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
         assert self._standing is not None

@@ -40,7 +40,7 @@ SORTED = {
 
 @dataclass
 class _Launches:
-    """Recorded launches of a rebuild."""
+    """Recorded launches of a rebuild, and graphs of them."""
 
     centres: Stage
     stretch: Stage
@@ -55,6 +55,10 @@ class _Launches:
     """Clearing, count and fill of a GPU's links."""
     near: list[Stage] = field(default_factory=list)
     """What chooses those of them that are near."""
+    graphs: dict[str, Any] = field(default_factory=dict)
+    """Of parts of a rebuild, on a GPU."""
+    ran: set[str] = field(default_factory=set)
+    """Parts that have been launched once."""
     faces: list[Stage] = field(default_factory=list)
     """Count, starts and fill of mesh candidates."""
 
@@ -116,49 +120,93 @@ class NeighborLists:
         if sort:
             self._sort(due)
         self.builds[stale] += 1
-        wp.copy(self._old.start, b.pairs.start)
         self._keep_old(np.flatnonzero(stale))
         width = self._cells.width()
         self._cells.fit(width, due)
         launches = self._launches(sort)
-        launches.centres()
+        self._run(launches, "before")
         self._cells.build(self._centre, width)
-        if b.features.bonds:
-            self._stretched.zero_()
-            launches.stretch()
         if b.features.half_list:
             launches = self._search(sort)
+            self._scan(launches)
         else:
-            self._count.zero_()
-            self._total.zero_()
-            b.in_parts(launches.search)
-        wanted, longest = self._starts(launches.starts, self._total, "neighbour list", "pairs")
+            self._run(launches, "search")
+        wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
             self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
             launches = self._launches(sort)
         for s in np.flatnonzero(stale):
             b.states[s].pair_total = int(wanted[s])
-        b.in_parts(launches.fill)
+        if b.features.half_list:
+            b.in_parts(launches.transfer)
+        else:
+            self._run(launches, "fill")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # from the next build on
-        b.in_parts(launches.transfer)
-        self._link(launches)
         if b.features.meshes:
             launches.faces[0]()
-            wanted, _ = self._starts(launches.faces[1], self._face_total, "mesh candidates", "faces")
+            wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+            launches.faces[1]()
+            wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
             if np.any(wanted > b.face_capacity):
                 b.reserve_faces(wanted)
                 launches = self._launches(sort)
             launches.faces[2]()
         b.subcycles.locate()
+        self._run(launches, "after")
+        b.device_changed()
+        b.ahead.built()
+
+    def _run(self, launches: _Launches, part: str) -> None:
+        """A part of a rebuild; on a GPU a graph from the second time on: most of a rebuild is waiting for launches."""
+        calls = {
+            "before": lambda: self._before(launches),
+            "search": lambda: self._search_all(launches),
+            "fill": lambda: self._fill(launches),
+            "after": lambda: self._after(launches),
+        }
+        graph = launches.graphs.get(part)
+        if graph is not None:
+            wp.capture_launch(graph)
+        elif part in launches.ran and self.batch.device.is_cuda:
+            with wp.ScopedCapture(device=self.batch.device) as capture:
+                calls[part]()
+            launches.graphs[part] = capture.graph
+            wp.capture_launch(capture.graph)
+        else:
+            calls[part]()
+            launches.ran.add(part)
+
+    def _before(self, launches: _Launches) -> None:
+        wp.copy(self._old.start, self.batch.pairs.start)
+        launches.centres()
+        if self.batch.features.bonds:
+            self._stretched.zero_()
+            launches.stretch()
+
+    def _search_all(self, launches: _Launches) -> None:
+        self._count.zero_()
+        self._total.zero_()
+        self.batch.in_parts(launches.search)
+        self._scan(launches)
+
+    def _scan(self, launches: _Launches) -> None:
+        """Counts into row starts."""
+        wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+        launches.starts()
+
+    def _fill(self, launches: _Launches) -> None:
+        self.batch.in_parts(launches.fill)
+        self.batch.in_parts(launches.transfer)
+        self._link(launches)
+
+    def _after(self, launches: _Launches) -> None:
         launches.drift()
         launches.clear_stale()
         for stage in launches.near:
             stage()
-        b.device_changed()
-        b.ahead.built()
 
     def _link(self, launches: _Launches) -> None:
         if launches.links:
@@ -322,10 +370,8 @@ class NeighborLists:
             ]
         return launches
 
-    def _starts(self, place: Stage, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Scan the counts into row starts; returns how many entries each scene now has, and the last of `total`."""
-        wp.utils.array_scan(self._count, self._scanned, inclusive=False)
-        place()
+    def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
+        """How many entries each scene now has, and the last of `total`."""
         found = total.numpy().astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:

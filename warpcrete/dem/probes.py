@@ -68,27 +68,37 @@ def body_sums(model: Model, state: State) -> BodySums:
     """Energies, momentum and drive forces of all bodies."""
     if state.body_count:
         launched(state, "bodies", lambda: _body_stages(model, state))
-    return _read_bodies(state)
+    return _bodies_of(state, *_read(state, "bodies"))
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
     """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
     if state.sphere_count:
         launched(state, "contacts", lambda: _contact_stages(model, state))
-    return _read_contacts(state, coordination)
+    return _contacts_of(state, *_read(state, "contacts"), coordination)
 
 
 def both_sums(model: Model, state: State) -> tuple[BodySums, ContactSums]:
     """Sums over bodies and over contacts, which a GPU makes with one launch, and the host waits for once."""
     if state.body_count:
         launched(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
-    return _read_bodies(state), _read_contacts(state, False)
+    bodies, contacts = _read(state, "bodies", "contacts")
+    return _bodies_of(state, bodies), _contacts_of(state, contacts, False)
 
 
-def _read_bodies(state: State) -> BodySums:
+COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_COLUMNS)}
+
+
+def _read(state: State, *what: str) -> list[np.ndarray]:
+    """Sums of bodies or contacts."""
+    if state.body_count == 0:
+        return [np.zeros(COLUMNS[each]) for each in what]
+    return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
+
+
+def _bodies_of(state: State, total: np.ndarray) -> BodySums:
     if state.body_count == 0:
         return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
-    total = _sums(state, "bodies", int(column.BODY_COLUMNS)).numpy().copy()
     mass = state.total_mass
     return BodySums(
         kinetic_energy=float(total[column.KINETIC]),
@@ -102,10 +112,9 @@ def _read_bodies(state: State) -> BodySums:
     )
 
 
-def _read_contacts(state: State, coordination: bool) -> ContactSums:
+def _contacts_of(state: State, total: np.ndarray, coordination: bool) -> ContactSums:
     if state.sphere_count == 0:
         return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0, 0)
-    total = _sums(state, "contacts", int(column.CONTACT_COLUMNS)).numpy().copy()
     contacts = int(total[column.CONTACTS])
     return ContactSums(
         contacts=contacts,

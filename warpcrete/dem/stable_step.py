@@ -11,6 +11,7 @@ import warp as wp
 from ..core.launching import Stage, at_once
 from ..geometry.walls import Driven
 from ..kernels.dem.stable_step import (
+    ESTIMATE_LANES,
     begin_kernel,
     gather_kernel,
     keep_kernel,
@@ -112,8 +113,9 @@ class StableStep:
         b, f = self.batch, self.batch.features
         own = {"due": self._due, "estimate": self._estimate}
         begin = {"asked": self._asked, "by_device": by_device, **own}
-        gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling)
-        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law)
+        lanes = ESTIMATE_LANES if b.device.is_cuda else 1
+        gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling, lanes)
+        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list)
         sphere, body = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
         chunks, count = list(pairwise(b.states[which].chunks)), b.states[which].body_count
         if which < 0:
@@ -124,8 +126,8 @@ class StableStep:
             return [
                 [b.stage(begin_kernel(b.scalar), b.count, **begin)],
                 [
-                    b.stage(gather, last - first, begin=sphere + first, first=sphere + first, last=sphere + last,
-                            part=k, stiff=stiff, **own)
+                    b.stage(gather, lanes * (last - first), begin=sphere + first, first=sphere + first,
+                            last=sphere + last, part=k, stiff=stiff, **own)
                     for k, (first, last) in enumerate(chunks)
                 ],
                 # Without bodies nothing bounds the step but its largest allowed size.
