@@ -195,8 +195,10 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             i, s, lane, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
         )  # fmt: skip
         if wp.static(lanes > 1):
-            sums.k, sums.c = added_up(sums.k), added_up(sums.c)
-            sums.k_turn, sums.c_turn = added_up(sums.k_turn), added_up(sums.c_turn)
+            sums.k = added_up(sums.k)
+            sums.c = added_up(sums.c)
+            sums.k_turn = added_up(sums.k_turn)
+            sums.c_turn = added_up(sums.c_turn)
             if lane > 0:
                 return
         first_wall = scenes.row[s].walls
