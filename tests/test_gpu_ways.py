@@ -30,7 +30,10 @@ from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem import links
+from warpcrete.kernels.dem.linking import BITS
 from warpcrete.kernels.dem.motion import clump_kernel
+from warpcrete.kernels.dem.pairs import BLOCK as ENTRIES
+from warpcrete.kernels.dem.stable_step import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
@@ -298,6 +301,7 @@ def kernels_of_a_step(pick):
             law, wall_law = features.pair_law, features.wall_law
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
+                gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
                 clump_kernel(batch.scalar, True, True, True, False, True, True, links.WARP),
                 links.surface_kernel(batch.scalar, wall_law, True, True, False, links.WARP),
                 *body_kernels(batch.scalar, True, False, True),
@@ -328,10 +332,12 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         assert ".entry" in text.read_text()
 
 
-def test_a_sphere_with_more_entries_than_bits_feels_them_all():
-    """A large sphere that sixty small ones press on, some of which are thrown off and come back."""
-    turn = np.pi * (1 + 5**0.5) * np.arange(60)
-    height = 1 - 2 * (np.arange(60) + 0.5) / 60
+@pytest.mark.parametrize("count", [60, 240])
+def test_a_sphere_feels_entries_of_which_no_bits_tell(count):
+    """A large sphere that many small ones press on, some of which are thrown off and come back."""
+    assert int(ENTRIES) < 60 < int(BITS) < 240
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
     out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
     found = []
     for way in (nullcontext, share_out_like_a_gpu):
@@ -349,7 +355,7 @@ def test_a_sphere_with_more_entries_than_bits_feels_them_all():
             )
             model = build_model(scene, find_device("cpu"), "float64")
             stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=2e-6))
-            assert np.diff(stepper.state.pairs.start.numpy()).max() >= 60 or not model.features.half_list
+            assert np.diff(stepper.state.pairs.start.numpy()).max() >= count or not model.features.half_list
             states = []
             for _ in range(6):
                 stepper.take(200)

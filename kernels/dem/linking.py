@@ -10,19 +10,31 @@ from ..common.types import types
 from .pairs import BLOCK, decode
 from .structs import array_structs, links_struct
 
+MORE = wp.constant(4)
+"""Numbers with bits for those entries of a sphere's row that come after the first BLOCK."""
+BITS = wp.constant((int(MORE) + 1) * int(BLOCK))
+"""Entries of a row of which bits tell whether they touch; a large sphere among small ones has a hundred."""
+
 
 @functools.cache
 def mark_function(scalar):
     """`mark`: notes in a sphere's bits whether the entry at a place of its row touches."""
-    Spheres = array_structs(scalar).Spheres
+    Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
 
     @wp.func
-    def mark(spheres: Spheres, i: wp.int32, place: wp.int32, touches: wp.bool):
+    def mark(spheres: Spheres, links: Links, i: wp.int32, place: wp.int32, touches: wp.bool):
+        bit = 1 << (place % BLOCK)
         if place < BLOCK:
             if touches:
-                wp.atomic_or(spheres.touching, i, 1 << place)
+                wp.atomic_or(spheres.touching, i, bit)
             else:
-                wp.atomic_and(spheres.touching, i, ~(1 << place))
+                wp.atomic_and(spheres.touching, i, ~bit)
+        elif place < BITS:
+            at = MORE * i + place / BLOCK - 1
+            if touches:
+                wp.atomic_or(links.more, at, bit)
+            else:
+                wp.atomic_and(links.more, at, ~bit)
 
     return mark
 
@@ -58,12 +70,14 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int)
         for k in range(begin, scenes.row[s].pairs + pairs.start[i + s + 1]):
             if pairs.other[k] >= 0:
                 own += 1
-            if stale and k - begin >= BLOCK:  # no bits tell of these
+            if stale and k - begin >= BITS:
                 links.pull[2 * k] = t.vec4()
                 links.pull[2 * k + 1] = t.vec4()
         count[i + s] = own
         if stale:
             spheres.touching[i] = 0
+            for word in range(MORE):
+                links.more[MORE * i + word] = 0
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
@@ -109,7 +123,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int)
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.touched[p] = wp.where(remembers, 1, 0)
                 if remembers:
-                    mark(spheres, i, k - pairs.start[i + s], True)
-                    mark(spheres, base + j, twin - begin, True)
+                    mark(spheres, links, i, k - pairs.start[i + s], True)
+                    mark(spheres, links, base + j, twin - begin, True)
 
     return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)

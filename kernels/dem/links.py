@@ -18,7 +18,7 @@ from .analytic_walls import analytic_wall_functions
 from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .contacts import contact_options
-from .linking import mark_function
+from .linking import BITS, MORE, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
 
@@ -51,30 +51,39 @@ def pull_functions(scalar):
         lost = wp.float64(0.0)
         begin = row + read_int(pairs.start, slot)
         end = row + read_int(pairs.start, slot + 1)
-        left = read_int(spheres.touching, i)
-        while left != 0:
-            # Four at a time: while one is waited for, the others come.
-            k = begin + lowest_bit(left)
-            left = left & (left - 1)
-            a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
-            if left != 0:
-                k = begin + lowest_bit(left)
+        block = begin
+        word = wp.int32(0)
+        while block < end and word <= MORE:
+            left = wp.int32(0)
+            if word == 0:
+                left = read_int(spheres.touching, i)
+            else:
+                left = read_int(links.more, MORE * i + word - 1)
+            while left != 0:
+                # Four at a time: while one is waited for, the others come.
+                k = block + lowest_bit(left)
                 left = left & (left - 1)
-                c, d = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            if left != 0:
-                k = begin + lowest_bit(left)
-                left = left & (left - 1)
-                e, f = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            if left != 0:
-                k = begin + lowest_bit(left)
-                left = left & (left - 1)
-                g, h = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            force = (((force + xyz(a)) + xyz(c)) + xyz(e)) + xyz(g)
-            moment = (moment + t.vec3(a[3], b[0], b[1])) + t.vec3(c[3], d[0], d[1])
-            moment = (moment + t.vec3(e[3], f[0], f[1])) + t.vec3(g[3], h[0], h[1])
-            lost += (wp.float64(b[2]) + wp.float64(d[2])) + (wp.float64(f[2]) + wp.float64(h[2]))
-        for k in range(begin + BLOCK, end):  # no bits tell of these
+                a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
+                if left != 0:
+                    k = block + lowest_bit(left)
+                    left = left & (left - 1)
+                    c, d = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                if left != 0:
+                    k = block + lowest_bit(left)
+                    left = left & (left - 1)
+                    e, f = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                if left != 0:
+                    k = block + lowest_bit(left)
+                    left = left & (left - 1)
+                    g, h = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                force = (((force + xyz(a)) + xyz(c)) + xyz(e)) + xyz(g)
+                moment = (moment + t.vec3(a[3], b[0], b[1])) + t.vec3(c[3], d[0], d[1])
+                moment = (moment + t.vec3(e[3], f[0], f[1])) + t.vec3(g[3], h[0], h[1])
+                lost += (wp.float64(b[2]) + wp.float64(d[2])) + (wp.float64(f[2]) + wp.float64(h[2]))
+            block += BLOCK
+            word += 1
+        for k in range(begin + BITS, end):  # no bits tell of these
             a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
             force += xyz(a)
             moment += t.vec3(a[3], b[0], b[1])
@@ -178,8 +187,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 after = 2  # its rows count once more
             else:
                 row = scenes.row[s].pairs
-                mark(spheres, i, k - row - pairs.start[i + s], close)
-                mark(spheres, j, twin - row - pairs.start[j + s], close)
+                mark(spheres, links, i, k - row - pairs.start[i + s], close)
+                mark(spheres, links, j, twin - row - pairs.start[j + s], close)
             links.touched[p] = after
             if not close:
                 pull(links, k, t.vec3(), t.vec3(), lost)

@@ -182,6 +182,7 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, from the scene's first; or -1
         scene: wp.array(dtype=wp.int32)  # number in the batch, shape (links,) as the rest
         touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
+        more: wp.array(dtype=wp.int32)  # as `touching` of spheres, of the entries after those, MORE for each sphere
         pull: wp.array(dtype=t.vec4)  # of each entry of the lists, two rows: force on its sphere [N], moment about its
         # centre [N m] (the first component ends the first row), and, not of twins, energy lost in this step [J]
         near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres, entry and twin, from the batch's first

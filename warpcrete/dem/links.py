@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..kernels.dem.linking import MORE
 from ..kernels.dem.structs import links_struct
 from .state import PAIR_ARRAYS, State
 
@@ -27,6 +28,7 @@ def make_links(batch: Any) -> Any:
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
+    few["more"] = int(MORE) * batch.sphere_count
     sizes = {"pull": 2 * lists, **(few if batch.parallel else dict.fromkeys(few, 0))}
     links = struct()
     for name, variable in struct.vars.items():
@@ -42,6 +44,7 @@ def make_links(batch: Any) -> Any:
 
 def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
     """Copy the pairs of each scene to where they are in lists of more room; `old` and `capacity` are entries each."""
+    wp.copy(links.more, before.more)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
     for name in ("link", "touched"):
         target, source = getattr(links, name), getattr(before, name)
