@@ -188,7 +188,9 @@ class Sampler:
             return {}
         number = next(k for k, wall in enumerate(self.model.walls) if wall.name == probe.wall)
         turn = walls[number, int(TURN) : int(TURN) + 4]
-        normal = rotate(turn[None], np.array([self.model.walls[number].normal]))[0]  # type: ignore[union-attr]
+        normal = np.array(self.model.walls[number].normal, dtype=float)  # type: ignore[union-attr]
+        if turn[:3].any():
+            normal = rotate(turn[None], normal[None])[0]
         return {
             "travel": float(walls[number, int(TRAVEL)]),
             "pressure": float(-self._mean[number, :3] @ normal / probe.area),
