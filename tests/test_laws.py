@@ -268,7 +268,7 @@ def test_the_force_of_plastic_shells_turns_with_the_pair(start):
     stepper = start(dataclasses.replace(scene, bodies=(bodies, *scene.bodies[1:])))
     stepper.take(1)
     history = stepper.state.pairs.history.numpy()
-    history[0] = [MASS * spin**2 * apart / 2, 0, 0]
+    history[0, :3] = [MASS * spin**2 * apart / 2, 0, 0]
     stepper.state.pairs.history.assign(history)
     for turn in (0.5, 1.0, 1.5):
         stepper.advance(turn / spin)

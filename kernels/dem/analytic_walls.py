@@ -192,7 +192,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
                     n = into_wall(walls.table[w], direction)  # from the sphere into the wall
                     touch, point = surface_touch(
                         walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity,
-                        spheres.spin[i], dt,
+                        xyz(spheres.spin[i]), dt,
                     )  # fmt: skip
                     p = parameters[row + walls.table[w].material]
                     f, new_history, lost = contact_force(p, touch, slots.history[i, slot], dt)
@@ -207,7 +207,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
                         slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, lost, dt)
                         slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
                     if wp.static(rolls):
-                        turning = walls.spin[w] - spheres.spin[i]
+                        turning = walls.spin[w] - xyz(spheres.spin[i])
                         held_back, rolled, lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
                         slots.rolling[i, slot] = rolled
                         total_lost += wp.float64(lost)

@@ -17,7 +17,7 @@ import warp as wp
 
 from ..common.control import HALTED
 from ..common.rows import row_functions
-from ..common.types import SPAN, cpu_flags, lowest_bit, types
+from ..common.types import SPAN, cpu_flags, lowest_bit, types, vector_functions
 from .bond_parallel import bond_functions
 from .lanes import LANES, evaluate_function, gather_function, give_function, layout
 from .pairs import ALL_TOUCHED, BLOCK, closeness_function, parting_function
@@ -52,7 +52,7 @@ def contact_kernel(
     places = layout(law.rolls, history, bonds)
     numbers, integers = places.size, places.integer_size
     rows = row_functions(scalar)
-    read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
+    read_vec4, xyz = rows.read_vec4, vector_functions(scalar).xyz
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
@@ -119,7 +119,7 @@ def contact_kernel(
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)
-                            spin_i = read_vec3(spheres.spin, i)
+                            spin_i = xyz(read_vec4(spheres.spin, i))
                             begin = scenes.row[s].pairs + pairs.start[i + s]
                             end = scenes.row[s].pairs + pairs.start[i + s + 1]
                             block = begin

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.rows import row_functions
-from ..common.types import types
+from ..common.types import types, vector_functions
 from .bond_parallel import UNBONDED, bond_functions
 from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
@@ -110,6 +110,7 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
     rows = row_functions(scalar)
     read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     f = column_functions(scalar)
+    xyz = vector_functions(scalar).xyz
     put, put_int, put3, put4 = f.put, f.put_int, f.put3, f.put4
     places = layout(rolls, history, bonds)
     at, int_at = places.numbers, places.integers
@@ -132,10 +133,10 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         put3(columns, wp.static(at["spin_i"]), lane, spin_i)
         put4(columns, wp.static(at["position_j"]), lane, read_vec4(spheres.position, j))
         put4(columns, wp.static(at["velocity_j"]), lane, read_vec4(spheres.velocity, j))
-        put3(columns, wp.static(at["spin_j"]), lane, read_vec3(spheres.spin, j))
+        put3(columns, wp.static(at["spin_j"]), lane, xyz(read_vec4(spheres.spin, j)))
         put(columns, wp.static(at["sign"]), lane, wp.where(entry < 0, scalar(-1.0), scalar(1.0)))
         if wp.static(history):
-            put3(columns, wp.static(at["history"]), lane, read_vec3(pairs.history, k))
+            put3(columns, wp.static(at["history"]), lane, xyz(read_vec4(pairs.history, k)))
         if wp.static(rolls):
             put3(columns, wp.static(at["rolling"]), lane, read_vec3(pairs.rolling, k))
         if wp.static(mixed):
@@ -244,6 +245,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     read_int, read_vec3 = rows.read_int, rows.read_vec3
     write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
     f = column_functions(scalar)
+    pack = vector_functions(scalar).pack
     get, get_int, get3, get4 = f.get, f.get_int, f.get3, f.get4
     places = layout(rolls, history, bonds)
     at, int_at = places.numbers, places.integers
@@ -261,7 +263,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
             k = get_int(ints, wp.static(int_at["k"]), lane)
             shared = j >= first and j < last
             if wp.static(history):
-                write_vec3(pairs.history, k, get3(columns, wp.static(at["history"]), lane))
+                write_vec4(pairs.history, k, pack(get3(columns, wp.static(at["history"]), lane), scalar(0.0)))
             if wp.static(rolls):
                 write_vec3(pairs.rolling, k, get3(columns, wp.static(at["rolling"]), lane))
             if wp.static(bonds or dissipation):

@@ -150,10 +150,10 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                         spheres.velocity[i][3], spheres.velocity[j][3],
                     )  # fmt: skip
                     row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-                    lost = contact_energy(parameters[row + spheres.material[j]], touch, pairs.history[k])
+                    lost = contact_energy(parameters[row + spheres.material[j]], touch, xyz(pairs.history[k]))
                     if wp.static(rolls):
                         lost += moment_energy(parameters[row + spheres.material[j]], touch, pairs.rolling[k])
-            pairs.history[k] = t.vec3()
+            pairs.history[k] = t.vec4()
             if wp.static(rolls):
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
@@ -199,8 +199,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
 
 
 @functools.cache
-def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool):
-    """`evaluate`: force and moments of a link, its history and bond."""
+def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
+    """`evaluate`: force and moments of a link, its history and bond. Bodies may be `mixed`, of several materials."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -211,9 +211,11 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     contact_moment = functions.moment if rolls else None
     Bond = bond_functions(scalar).Bond
     pair_touch = pair_functions(scalar).pair_touch
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     bonded = bonded_function(scalar, healing, dissipation)
     rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4, write_vec3 = rows.read_int, rows.read_vec3, rows.read_vec4, rows.write_vec3
+    read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
+    write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
     pull, _ = pull_functions(scalar)
 
     @wp.func
@@ -223,20 +225,22 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     ):  # fmt: skip
         i, j, k, twin = ends[0], ends[1], ends[2], ends[3]
         dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
-        spin_i, spin_j = read_vec3(spheres.spin, i), read_vec3(spheres.spin, j)
-        row = scenes.row[s].laws + read_int(spheres.material, i) * scenes.row[s].materials
+        spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
+        material = read_int(spheres.material, i)
+        law_row = scenes.row[s].laws + material * scenes.row[s].materials
+        if wp.static(mixed):
+            material = read_int(spheres.material, j)
+        law_row += material
         old_history = t.vec3()
         if wp.static(history):
-            old_history = read_vec3(pairs.history, k)
+            old_history = xyz(read_vec4(pairs.history, k))
         pair = pair_touch(
             position_i, read_vec4(spheres.velocity, i), spin_i, position_j, read_vec4(spheres.velocity, j), spin_j,
             scalar(1.0), dt,
         )  # fmt: skip
-        total, new_history, lost = contact_force(
-            parameters[row + read_int(spheres.material, j)], pair.touch, old_history, dt
-        )
+        total, new_history, lost = contact_force(parameters[law_row], pair.touch, old_history, dt)
         if wp.static(history):
-            write_vec3(pairs.history, k, new_history)
+            write_vec4(pairs.history, k, pack(new_history, scalar(0.0)))
         bond_moment = t.vec3()
         if wp.static(bonds):
             kind = pairs.bond[k]
@@ -254,7 +258,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
                     wp.atomic_add(spheres.broken, i, wp.vec2i(0, 1))
         if wp.static(rolls):
             held_back, new_rolling, lost_rolling = contact_moment(
-                parameters[row + read_int(spheres.material, j)], pair.touch, spin_j - spin_i,
+                parameters[law_row], pair.touch, spin_j - spin_i,
                 read_vec3(pairs.rolling, k), dt,
             )  # fmt: skip
             write_vec3(pairs.rolling, k, new_rolling)
@@ -321,7 +325,9 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, w
 
 
 @functools.cache
-def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
+def link_kernel(
+    scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
+):
     """Kernel over links: contacts of those that touch.
 
     Each of its threads, of which there are `threads`, takes a near link, and one more for so many as there are; then
@@ -333,7 +339,7 @@ def link_kernel(scalar, law, history: bool, bonds: bool, healing: bool, subcycli
     Parameters = law.functions(scalar).Parameters
     Bond = bond_functions(scalar).Bond
     looks = look_function(scalar, law, history, bonds, healing, subcycling, dissipation)
-    evaluate = link_functions(scalar, law, history, bonds, healing, dissipation)
+    evaluate = link_functions(scalar, law, history, bonds, healing, dissipation, mixed)
     read_vec4 = row_functions(scalar).read_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))

@@ -71,7 +71,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                         if old >= 0:
                             pairs.history[k] = old_pairs.history[old]
                         else:
-                            pairs.history[k] = t.vec3()
+                            pairs.history[k] = t.vec4()
                     if wp.static(rolls):
                         if old >= 0:
                             pairs.rolling[k] = old_pairs.rolling[old]

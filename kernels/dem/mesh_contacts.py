@@ -275,7 +275,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
             x = parts.xyz(spheres.position[i])
             radius = spheres.position[i][3]
             velocity = spheres.velocity[i]
-            spin = spheres.spin[i]
+            spin = parts.xyz(spheres.spin[i])
             row = scenes.row[scene].laws + spheres.material[i] * scenes.row[scene].materials
             total_force = t.vec3()
             total_moment = t.vec3()

@@ -228,7 +228,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             write_vec3(bodies.rounding, i, rounding)
 
             if wp.static(rotation):
-                spin = read_vec3(spheres.spin, i)
+                spin = xyz(read_vec4(spheres.spin, i))
                 torque = read_vec3(spheres.moment, i) + by_links
                 torque, lost_turning = damped(torque, spin, damping, kick)
                 if wp.static(half):
@@ -236,7 +236,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
                 inertia = scalar(0.4) * mass * radius * radius
                 if wp.static(growth):
                     inertia = scalar(0.4) * mass * spheres.offset[i][3] * spheres.offset[i][3]
-                write_vec3(spheres.spin, i, spin + torque * (kick / inertia))
+                write_vec4(spheres.spin, i, pack(spin + torque * (kick / inertia), scalar(0.0)))
                 lost += lost_turning
             elif wp.static(half):
                 write_vec3(spheres.moment, i, t.vec3())
@@ -269,7 +269,7 @@ def sync_kernel(scalar):
         i = wp.tid()
         bodies.position[i] = xyz(spheres.position[i])
         bodies.velocity[i] = xyz(spheres.velocity[i])
-        bodies.spin[i] = spheres.spin[i]
+        bodies.spin[i] = xyz(spheres.spin[i])
 
     return sync_bodies
 
@@ -368,7 +368,7 @@ def clump_kernel(
     damped, moved_on = motion.damped, motion.moved_on
     drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
     rows = row_functions(scalar)
-    read_vec4, write_vec3, write_vec4 = rows.read_vec4, rows.write_vec3, rows.write_vec4
+    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
@@ -486,6 +486,6 @@ def clump_kernel(
                     watch_near(scenes, links, scene, i, place, radius)
                 write_vec4(spheres.position, i, pack(place, radius))
                 write_vec4(spheres.velocity, i, pack(carried, mass))
-                write_vec3(spheres.spin, i, spin)
+                write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
 
     return move_clumps

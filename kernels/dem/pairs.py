@@ -96,6 +96,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
     rolls = law.rolls
     moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
+    xyz = vector_functions(scalar).xyz
 
     @wp.func
     def part(
@@ -126,10 +127,10 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                         spheres.velocity[j][3],
                     )  # fmt: skip
                     p = parameters[row + spheres.material[j]]
-                    lost += wp.float64(contact_energy(p, touch, pairs.history[k]))
+                    lost += wp.float64(contact_energy(p, touch, xyz(pairs.history[k])))
                     if wp.static(rolls):
                         lost += wp.float64(moment_energy(p, touch, pairs.rolling[k]))
-            pairs.history[k] = t.vec3()
+            pairs.history[k] = t.vec4()
             if wp.static(rolls):
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):

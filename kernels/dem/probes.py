@@ -208,7 +208,7 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
         if middle > zero:
             held = t.vec3()
             if wp.static(history):
-                held = pairs.history[k]
+                held = xyz(pairs.history[k])
             touch = sphere_touch(n, -middle, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
             sums[ELASTIC_ENERGY] += wp.float64(pair_energy(p, touch, held))
             if wp.static(rolls):

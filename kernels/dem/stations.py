@@ -36,14 +36,14 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         i: wp.int32, j: wp.int32, k: wp.int32, sign: scalar, parameters: PairParameters, spheres: Spheres, pairs: Pairs
     ):  # fmt: skip
         pair = pair_touch(
-            spheres.position[i], spheres.velocity[i], spheres.spin[i], spheres.position[j], spheres.velocity[j],
-            spheres.spin[j], sign, scalar(0.0),
+            spheres.position[i], spheres.velocity[i], xyz(spheres.spin[i]), spheres.position[j], spheres.velocity[j],
+            xyz(spheres.spin[j]), sign, scalar(0.0),
         )  # fmt: skip
         total = t.vec3()
         if pair.touch.gap < scalar(0.0):
             held = t.vec3()
             if wp.static(history):
-                held = pairs.history[k]
+                held = xyz(pairs.history[k])
             push, unused, unused_loss = pair_force(parameters, pair.touch, held, scalar(0.0))
             total = push
         if wp.static(bonds):
@@ -106,7 +106,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
             if gap < scalar(0.0) and wp.length_sq(n) > scalar(0.0):
                 touch, point = surface_touch(
                     walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, spheres.velocity[i],
-                    spheres.spin[i], scalar(0.0),
+                    xyz(spheres.spin[i]), scalar(0.0),
                 )  # fmt: skip
                 push, unused, unused_loss = wall_force_of(
                     wall_parameters[row + walls.table[w].material], touch, slots.history[i, slot], scalar(0.0)

@@ -108,7 +108,7 @@ def array_structs(scalar) -> SimpleNamespace:
         offset: wp.array(dtype=t.vec4)  # centre in the body's frame, radius; at full size [m]
         position: wp.array(dtype=t.vec4)  # centre and radius [m]
         velocity: wp.array(dtype=t.vec4)  # of the centre [m/s], and the body's mass [kg]
-        spin: wp.array(dtype=t.vec3)  # of the body [rad/s]
+        spin: wp.array(dtype=t.vec4)  # of the body [rad/s], and nothing: rows of four are moved at once
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
         clear: wp.array(dtype=t.vec4)  # where its distance to still walls was last measured, and that distance [m]
         force: wp.array(dtype=t.vec3)  # of all contacts in this step [N]
@@ -133,7 +133,7 @@ def array_structs(scalar) -> SimpleNamespace:
     class Pairs:
         start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
         other: wp.array(dtype=wp.int32)  # the other sphere j, or -1 - j if j has the lower number, shape (pairs,)
-        history: wp.array(dtype=t.vec3)  # of the contact, for springs the shear force [N], shape (pairs,)
+        history: wp.array(dtype=t.vec4)  # of the contact, for springs the shear force [N], and nothing, shape (pairs,)
         rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
         bond: wp.array(dtype=wp.int32)  # kind of bond, 0 for none, below 0 broken, shape (pairs,)
         bond_force: wp.array(dtype=t.vec4)  # shear vector and tension [N], shape (pairs,)

@@ -109,6 +109,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
     pair = pair_functions(scalar)
     PairTouch, Touch = pair.PairTouch, pair.Touch
     bonded = bonded_function(scalar, False, dissipation)
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
 
     @wp.func
     def dashpots(p: Bond, touch: Touch, relative_spin: t.vec3, relaxation: scalar):
@@ -129,7 +130,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
     ):  # fmt: skip
         old_history = t.vec3()
         if wp.static(history):
-            old_history = subcycled.held.history[p]
+            old_history = xyz(subcycled.held.history[p])
         total, new_history, lost = contact_force(pair_parameters[subcycled.law[p]], pair.touch, old_history, dt)
         moment = t.vec3()
         if subcycled.held.bond[p] > 0:
@@ -150,7 +151,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
             new_history = t.vec3()
             lost = scalar(0.0)
         if wp.static(history):
-            subcycled.held.history[p] = new_history
+            subcycled.held.history[p] = pack(new_history, scalar(0.0))
         if wp.static(dissipation):
             subcycled.lost[p] = subcycled.lost[p] + wp.float64(lost)
         return total, moment
@@ -372,6 +373,6 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
                     watch_near(scenes, links, s, i, x + arm, offset[3])
                 spheres.position[i] = pack(x + arm, offset[3])
                 spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), subcycled.mass[q])
-                spheres.spin[i] = spin
+                spheres.spin[i] = pack(spin, scalar(0.0))
 
     return subcycle_bodies, foresee_bodies

@@ -74,7 +74,7 @@ def state_hash(state: State) -> str:
     digest.update(np.stack([low, high])[:, ranks].astype(np.int32).tobytes())
     chosen = place[kept][ranks]
     if features.history:
-        digest.update(state.pairs.history.numpy()[chosen].tobytes())
+        digest.update(np.ascontiguousarray(state.pairs.history.numpy()[chosen, :3]).tobytes())
     if features.pair_law.rolls:
         digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
     if features.bonds:

@@ -86,7 +86,7 @@ def _full_step(batch: Batch) -> list[Stage]:
         stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
-    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation)
+    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     threads = -(-int(CLOSE_LINKS * len(b.links.link)) // width) * width
     stages += [
         # Blocks by the spheres: kernels are compiled before there are links.

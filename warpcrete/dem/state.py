@@ -147,7 +147,7 @@ class State:
             offset=offsets,
             position=position,
             velocity=np.concatenate([carried, table.mass[body][:, None]], axis=1),
-            spin=table.spin[body],
+            spin=np.pad(table.spin[body], ((0, 0), (0, 1))),
             built=position,
             clear=n if f.analytic else 0,
             force=n,
