@@ -24,12 +24,12 @@ from .stiffness import estimate_struct, pair_stiffness_function, stiffness_funct
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
 
-ESTIMATE_LANES = 8
+ESTIMATE_LANES = 4
 """Threads of a GPU's warp that share a sphere: they read its row of the list together."""
 LANES_TOTAL = """
 #if defined(__CUDA_ARCH__)
-    const unsigned lanes = 0xffu << (threadIdx.x & 24);
-    for (int away = 4; away > 0; away /= 2) value += __shfl_xor_sync(lanes, value, away);
+    const unsigned lanes = 0xfu << (threadIdx.x & 28);
+    for (int away = 2; away > 0; away /= 2) value += __shfl_xor_sync(lanes, value, away);
 #endif
     return value;
 """
@@ -150,7 +150,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.func
     def added_up(part: vec6):
-        """Of the lanes of a sphere; all must call."""
+        """Of the lanes of a sphere, all of which must call."""
         total = vec6()
         for c in range(6):
             total[c] = lanes_total(part[c])

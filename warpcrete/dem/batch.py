@@ -429,7 +429,9 @@ class Batch:
         assert self._step is not None
         try:
             for count in pieces:
-                sizes = graph_sizes(count, largest)
+                # From one estimate to the next a GPU takes one graph.
+                whole = self.parallel and self.count == 1 and count == self.rows["interval"][0] and count <= largest
+                sizes = [count] if whole else graph_sizes(count, largest)
                 self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
                 if self._between is not None:
                     self._between()

@@ -19,8 +19,8 @@ from .batch import Batch
 
 MANY = 200_000
 """Spheres from which on a thread each keeps a GPU busy while lists are built."""
-CHOSEN = 16
-"""Steps after which near links are chosen anew."""
+CHOSEN = 20
+"""Steps after which near links are chosen anew: those from one estimate of the stable step to the next."""
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
 LANE_BITS = 2
