@@ -23,7 +23,7 @@ from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
 from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
@@ -330,6 +330,39 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (text,) = folder.glob("*.ptx")
         assert ".entry" in text.read_text()
+
+
+@pytest.mark.parametrize("count", [2, 240])
+def test_bonds_across_more_than_the_skin_stay_in_full_lists(count, like_a_gpu):
+    """A sphere flies off that soft bonds tie to another, of which many more lie too close for the first search."""
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
+    out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
+    away = 5.0 * out * (np.arange(count) < 2)[:, None]
+    scene = Scene(
+        name="tied",
+        duration=1.0,
+        gravity=(0, 0, 0),
+        contact=Contact(friction=0.0, normal_damping_ratio=0.0),
+        bonds=Bonds(effective_modulus=1.0, tensile_strength=1e12, cohesion=1e12, gap=1e-3),
+        bodies=(
+            Bodies(positions=[[0.0, 0, 0]], sizes=0.1),
+            Bodies(positions=0.0551 * out, sizes=0.01, velocities=away),
+        ),
+    )
+    model = build_model(scene, find_device("cpu"), "float64")
+    stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-4))
+    assert stepper.bond(scene.bonds, 1) >= count
+    gaps = []
+    for _ in range(6):
+        stepper.take(100)
+        before = contact_sums(model, stepper.state)
+        stepper.rebuild()
+        after = contact_sums(model, stepper.state)
+        assert after.bonded == before.bonded and after.bond_energy == pytest.approx(before.bond_energy, rel=1e-12)
+        position = by_id(stepper.state, "position")
+        gaps.append(np.linalg.norm(position[1] - position[0]) - 0.055)
+    assert max(gaps) > 2 * stepper.skin
 
 
 @pytest.mark.parametrize("count", [60, 240])

@@ -69,9 +69,43 @@ def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
         gap = gap / 3
 
 
+SQUARE_APART = """
+#if defined(__CUDA_ARCH__)
+    const SCALAR x = SUB(a[0], b[0]), y = SUB(a[1], b[1]), z = SUB(a[2], b[2]);
+    return ADD(ADD(MUL(x, x), MUL(y, y)), MUL(z, z));
+#else
+    return wp::length_sq(a - b);
+#endif
+"""
+"""Rounded alike wherever it is asked for: no compiler may fuse these."""
+
+
+@functools.cache
+def close_function(scalar):
+    """`is_close`: is a sphere within a gap of another? The same answer at every place of a kernel."""
+    t = types(scalar)
+    name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
+    snippet = SQUARE_APART.replace("SCALAR", name)
+    for operation in ("SUB", "ADD", "MUL"):
+        snippet = snippet.replace(operation, f"__{letter}{operation.lower()}_rn")
+
+    @wp.func_native(snippet)
+    def square_apart(a: t.vec3, b: t.vec3) -> scalar: ...
+
+    @wp.func
+    def is_close(a: t.vec3, radius_a: scalar, b: t.vec3, radius_b: scalar, gap: scalar) -> wp.bool:
+        limit = radius_a + radius_b + gap
+        return square_apart(a, b) < limit * limit
+
+    return is_close
+
+
 @functools.cache
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
-    """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded` and `belongs`."""
+    """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded` and `belongs`.
+
+    Half lists look for bonds across wider gaps among all that is near, full ones in the list before: see `held`.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -89,6 +123,9 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         radius: scalar  # [m]
         margin: scalar  # gap within which neighbours are looked for [m]
 
+    is_close = close_function(scalar)
+    wider = half and bonds
+
     @wp.func
     def beginning(scenes: Scenes, spheres: Spheres, stretched: wp.array(dtype=scalar), i: wp.int32) -> Seeker:
         seeker = Seeker()
@@ -99,7 +136,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         seeker.x = xyz(position)
         seeker.radius = position[3]
         seeker.margin = scenes.row[seeker.s].skin
-        if wp.static(bonds):
+        if wp.static(wider):
             seeker.margin = wp.max(stretched[i], seeker.margin)
         return seeker
 
@@ -115,9 +152,8 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     ) -> wp.bool:  # fmt: skip
         """Are i and j within a skin of each other, or held by a bond across a wider gap, and not of one body?"""
         skin = scenes.row[seeker.s].skin
-        limit = seeker.radius + position_j[3] + skin
-        close = wp.length_sq(xyz(position_j) - seeker.x) < limit * limit
-        if wp.static(bonds):
+        close = is_close(seeker.x, seeker.radius, xyz(position_j), position_j[3], skin)
+        if wp.static(wider):
             if not close and stretched[i] > skin and spheres.scene[j] == seeker.s:
                 old = find(
                     old_pairs, seeker.s, seeker.base, scenes.row[seeker.s].pairs, old_place[i], old_place[j]
@@ -126,7 +162,21 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
                     close = old_pairs.bond[old] > 0
         return close and spheres.body[j] != seeker.body and spheres.scene[j] == seeker.s
 
-    return SimpleNamespace(Seeker=Seeker, beginning=beginning, padded=padded, belongs=belongs)
+    @wp.func
+    def held(
+        scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), seeker: Seeker,
+        old: wp.int32,
+    ) -> wp.int32:  # fmt: skip
+        """Sphere that an entry of the list before holds by a bond across more than the skin, or -1."""
+        if old_pairs.bond[old] <= 0:
+            return -1
+        j = new_place[seeker.base + decode(old_pairs.other[old])]
+        position_j = read_vec4(spheres.position, j)
+        if is_close(seeker.x, seeker.radius, xyz(position_j), position_j[3], scenes.row[seeker.s].skin):
+            return -1
+        return j
+
+    return SimpleNamespace(Seeker=Seeker, beginning=beginning, padded=padded, belongs=belongs, held=held)
 
 
 @functools.cache
@@ -219,7 +269,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     The first finds and counts the neighbours of each sphere (`count` is zero before), and keeps those for which there
     is room in `finds`; when it is known where rows begin, the second puts them there in order. Where there are few
     spheres each has eight `lanes`, threads beside one another, each of which searches one octant around it. The last
-    of `total` is to be the longest row for which there was no room.
+    of `total` is to be the longest row for which there was no room. What bonds hold across more than the skin comes
+    from the list before: to look for it among all that is near kept a few threads, and all others waiting.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -227,7 +278,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     xyz = vector_functions(scalar).xyz
     read_vec4 = row_functions(scalar).read_vec4
     f = search_functions(scalar, False, bonds)
-    Seeker, beginning, padded, belongs = f.Seeker, f.beginning, f.padded, f.belongs
+    Seeker, beginning, padded, belongs, held = f.Seeker, f.beginning, f.padded, f.belongs, f.held
 
     @wp.func
     def side(octant: wp.int32, axis: wp.int32) -> scalar:
@@ -244,6 +295,26 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     def reach_of(scenes: Scenes, seeker: Seeker) -> scalar:
         return seeker.radius + scenes.scale[seeker.s] * scenes.row[seeker.s].largest_radius + seeker.margin
 
+    @wp.func
+    def old_row(
+        scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), seeker: Seeker, i: wp.int32
+    ):  # fmt: skip
+        """First entry of a sphere's row in the list before, and the end."""
+        row = scenes.row[seeker.s].pairs
+        place = old_place[i] + seeker.s
+        return row + old_pairs.start[place], row + old_pairs.start[place + 1]
+
+    @wp.func
+    def note(
+        count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
+        seeker: Seeker, i: wp.int32, j: wp.int32,
+    ):  # fmt: skip
+        found = wp.atomic_add(count, i + seeker.s, 1)
+        if found < finds.shape[0]:
+            finds[found, i] = j - seeker.base
+        else:
+            wp.atomic_max(total, total.shape[0] - 1, found + 1)
+
     @wp.kernel(module="unique", enable_backward=False)
     def search(
         grid: wp.uint64,
@@ -254,6 +325,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         spheres: Spheres,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
+        new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
         # written
         count: wp.array(dtype=wp.int32),
@@ -278,11 +350,13 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                 if not within(xyz(position_j) - seeker.x, lane):
                     continue
             if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                found = wp.atomic_add(count, i + seeker.s, 1)
-                if found < finds.shape[0]:
-                    finds[found, i] = j - seeker.base
-                else:
-                    wp.atomic_max(total, total.shape[0] - 1, found + 1)
+                note(count, finds, total, seeker, i, j)
+        if wp.static(bonds):
+            first, last = old_row(scenes, old_pairs, old_place, seeker, i)
+            for old in range(first + lane, last, lanes):
+                j = held(scenes, spheres, old_pairs, new_place, seeker, old)
+                if j >= 0:
+                    note(count, finds, total, seeker, i, j)
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
@@ -294,6 +368,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         spheres: Spheres,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
+        new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
         count: wp.array(dtype=wp.int32),
         finds: wp.array2d(dtype=wp.int32),
@@ -324,6 +399,13 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                 position_j = read_vec4(spheres.position, j)
                 if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
                     if found < total:
+                        pairs.other[row + found] = j - seeker.base
+                        found += 1
+            if wp.static(bonds):
+                first, last = old_row(scenes, old_pairs, old_place, seeker, i)
+                for old in range(first, last):
+                    j = held(scenes, spheres, old_pairs, new_place, seeker, old)
+                    if j >= 0 and found < total:
                         pairs.other[row + found] = j - seeker.base
                         found += 1
             sort_row(pairs.other, row, row + found)

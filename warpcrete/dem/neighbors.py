@@ -98,7 +98,7 @@ class NeighborLists:
         self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = zeros(n), zeros(n)
         self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
-        self._stretched = zeros(n if f.bonds else 0, batch.scalar)
+        self._stretched = zeros(n if f.bonds and f.half_list else 0, batch.scalar)
         # The list before, which the new one takes history from.
         self._old = batch.structs.Pairs()
         self._old.start = zeros(n + scenes)
@@ -182,7 +182,7 @@ class NeighborLists:
     def _before(self, launches: _Launches) -> None:
         wp.copy(self._old.start, self.batch.pairs.start)
         launches.centres()
-        if self.batch.features.bonds:
+        if self.batch.features.bonds and self.batch.features.half_list:
             self._stretched.zero_()
             launches.stretch()
 
@@ -237,10 +237,11 @@ class NeighborLists:
         each = self._launches(False)
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
+        stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
         return [
             each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.fill, *each.transfer,
-            *each.links, *each.near, *each.faces, *([each.stretch] if b.features.bonds else []),
-            invert, *order, *(permute_kernel(*kind) for kind in moved),
+            *each.links, *each.near, *each.faces, *stretch, invert, *order,
+            *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
 
     def _sorted(self, struct: str) -> list[wp.array]:
@@ -327,7 +328,7 @@ class NeighborLists:
             fill = []
         else:
             kernels = full_search_kernels(b.scalar, f.bonds, self._searchers)
-            finds = {"count": self._count, "finds": self._finds, **cells, **before}
+            finds = {"count": self._count, "finds": self._finds, "new_place": new_place, **cells, **before}
             search = [b.stage(kernels[0], n * self._searchers, total=self._total, **finds)]
             fill = [b.stage(kernels[1], n * self._searchers, **finds)]
 
