@@ -341,6 +341,40 @@ def gather_functions(scalar, dissipation: bool, width: int):
 
 
 @functools.cache
+def carry_function(scalar, meshes: bool, half: bool):
+    """`carry`: takes a sphere along with its body, and looks whether lists still hold all that it may touch."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
+    motion = motion_functions(scalar, False)
+    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
+    rows = row_functions(scalar)
+    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
+
+    @wp.func
+    def carry(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
+        x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar,
+    ):  # fmt: skip
+        """`x` and what follows are the body's; `size` is a factor of its full size."""
+        offset = read_vec4(spheres.offset, i)
+        arm = wp.quat_rotate(orientation, xyz(offset)) * size
+        place = x + arm
+        radius = offset[3] * size
+        drift = drift_of(scenes, s)
+        if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
+            flags[s, LATE] = 1
+        if wp.static(not half):
+            watch_near(scenes, links, s, i, place, radius)
+        write_vec4(spheres.position, i, pack(place, radius))
+        write_vec4(spheres.velocity, i, pack(velocity + wp.cross(spin, arm), mass))
+        write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
+
+    return carry
+
+
+@functools.cache
 def clump_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, width: int
 ):
@@ -349,8 +383,7 @@ def clump_kernel(
     Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
     before to the middle of this one, so the step size may change on the way. Bodies with three principal
     moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
-    time-reversible and its energy error bounded. Bodies with stiff bonds move in rounds (`subcycling`):
-    it notes the forces on them.
+    time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
     spheres have met, all move it, and each carries its spheres along. Tasks are whole warps.
@@ -358,42 +391,27 @@ def clump_kernel(
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
-    xyz = vector_functions(scalar).xyz
-    pack = vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
     gather, gather_abreast = gather_functions(scalar, dissipation, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
-    motion = motion_functions(scalar, dissipation)
+    motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
-    rows = row_functions(scalar)
-    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
         # model
-        segments: wp.array(dtype=Segment),
-        drive_axis: wp.array2d(dtype=wp.int32),
-        drive_force: wp.array(dtype=scalar),
+        segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # chunk
-        first: wp.int32,
-        last: wp.int32,
-        lane_bits: wp.int32,
+        first: wp.int32, last: wp.int32, lane_bits: wp.int32,
         # state, read
-        scenes: Scenes,
-        pairs: Pairs,
+        scenes: Scenes, pairs: Pairs,
         # state, read and written
-        flags: wp.array2d(dtype=wp.int32),
-        bodies: Bodies,
-        spheres: Spheres,
-        links: Links,
-        subcycled: Subcycled,
-    ):
+        flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
+    ):  # fmt: skip
         lanes = 1 << lane_bits
         lane, stride = wp.int32(0), wp.int32(1)
-        begin_b = wp.int32(0)
-        end_b = wp.int32(0)
+        begin_b, end_b = wp.int32(0), wp.int32(0)
         if wp.static(half):
             begin_b = first + wp.tid() * wp.static(SPAN)
             end_b = wp.min(begin_b + wp.static(SPAN), last)
@@ -422,8 +440,7 @@ def clump_kernel(
             q = bodies.orientation[b]
             momentum_before = bodies.angular_momentum[b]
 
-            total = t.vec3()
-            torque = t.vec3()
+            total, torque = t.vec3(), t.vec3()
             taken = wp.float64(0.0)
             if wp.static(half):
                 total, torque = gather(spheres, begin, end, x)
@@ -473,19 +490,7 @@ def clump_kernel(
             size = scalar(1.0)
             if wp.static(growth):
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
-            drift = drift_of(scenes, scene)
             for i in range(begin + lane, end, stride):
-                offset = read_vec4(spheres.offset, i)
-                arm = wp.quat_rotate(orientation, xyz(offset)) * size
-                place = x + arm
-                carried = velocity + wp.cross(spin, arm)
-                radius = offset[3] * size
-                if outgrows_lists(scenes, scene, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
-                    flags[scene, LATE] = 1
-                if wp.static(not half):
-                    watch_near(scenes, links, scene, i, place, radius)
-                write_vec4(spheres.position, i, pack(place, radius))
-                write_vec4(spheres.velocity, i, pack(carried, mass))
-                write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
+                carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass)
 
     return move_clumps

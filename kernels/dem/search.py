@@ -263,6 +263,55 @@ def half_search_kernel(scalar, bonds: bool):
 
 
 @functools.cache
+def octant_functions(scalar):
+    """`side`, which way along an axis an octant lies, and `within`: is a place this far from the middle in one?"""
+    t = types(scalar)
+
+    @wp.func
+    def side(octant: wp.int32, axis: wp.int32) -> scalar:
+        return wp.where((octant >> axis) & 1 == 1, scalar(1.0), scalar(-1.0))
+
+    @wp.func
+    def within(away: t.vec3, octant: wp.int32) -> wp.bool:
+        # Every place is in one.
+        place = wp.where(away[0] < scalar(0.0), 0, 1) + wp.where(away[1] < scalar(0.0), 0, 2)
+        return place + wp.where(away[2] < scalar(0.0), 0, 4) == octant
+
+    return side, within
+
+
+@functools.cache
+def noting_functions(scalar, bonds: bool):
+    """`old_row` and `note` of a search of full lists."""
+    structs = array_structs(scalar)
+    Scenes, Pairs = structs.Scenes, structs.Pairs
+    Seeker = search_functions(scalar, False, bonds).Seeker
+
+    @wp.func
+    def old_row(
+        scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), seeker: Seeker, i: wp.int32
+    ):  # fmt: skip
+        """First entry of a sphere's row in the list before, and the end."""
+        row = scenes.row[seeker.s].pairs
+        place = old_place[i] + seeker.s
+        return row + old_pairs.start[place], row + old_pairs.start[place + 1]
+
+    @wp.func
+    def note(
+        count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
+        seeker: Seeker, i: wp.int32, j: wp.int32,
+    ):  # fmt: skip
+        """Count a neighbour, and keep it if there is room."""
+        found = wp.atomic_add(count, i + seeker.s, 1)
+        if found < finds.shape[0]:
+            finds[found, i] = j - seeker.base
+        else:
+            wp.atomic_max(total, total.shape[0] - 1, found + 1)
+
+    return old_row, note
+
+
+@functools.cache
 def full_search_kernels(scalar, bonds: bool, lanes: int):
     """Kernels ``search`` and ``fill`` of full lists.
 
@@ -279,41 +328,12 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     read_vec4 = row_functions(scalar).read_vec4
     f = search_functions(scalar, False, bonds)
     Seeker, beginning, padded, belongs, held = f.Seeker, f.beginning, f.padded, f.belongs, f.held
-
-    @wp.func
-    def side(octant: wp.int32, axis: wp.int32) -> scalar:
-        """Which way along an axis an octant lies."""
-        return wp.where((octant >> axis) & 1 == 1, scalar(1.0), scalar(-1.0))
-
-    @wp.func
-    def within(away: t.vec3, octant: wp.int32) -> wp.bool:
-        """Is a place this far from the middle in an octant? Every place is in one."""
-        place = wp.where(away[0] < scalar(0.0), 0, 1) + wp.where(away[1] < scalar(0.0), 0, 2)
-        return place + wp.where(away[2] < scalar(0.0), 0, 4) == octant
+    side, within = octant_functions(scalar)
+    old_row, note = noting_functions(scalar, bonds)
 
     @wp.func
     def reach_of(scenes: Scenes, seeker: Seeker) -> scalar:
         return seeker.radius + scenes.scale[seeker.s] * scenes.row[seeker.s].largest_radius + seeker.margin
-
-    @wp.func
-    def old_row(
-        scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), seeker: Seeker, i: wp.int32
-    ):  # fmt: skip
-        """First entry of a sphere's row in the list before, and the end."""
-        row = scenes.row[seeker.s].pairs
-        place = old_place[i] + seeker.s
-        return row + old_pairs.start[place], row + old_pairs.start[place + 1]
-
-    @wp.func
-    def note(
-        count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
-        seeker: Seeker, i: wp.int32, j: wp.int32,
-    ):  # fmt: skip
-        found = wp.atomic_add(count, i + seeker.s, 1)
-        if found < finds.shape[0]:
-            finds[found, i] = j - seeker.base
-        else:
-            wp.atomic_max(total, total.shape[0] - 1, found + 1)
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(

@@ -19,11 +19,11 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import FAILED, HALTED, LATE
+from ..common.control import FAILED, HALTED
 from ..common.types import SPAN, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
 from .contacts import contact_options
-from .motion import motion_functions, rotation_functions
+from .motion import carry_function, motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
 from .search import find_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
@@ -283,11 +283,9 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
     Subcycled = subcycled_struct(scalar)
-    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     turned, spin_at_middle = rotation_functions(scalar)
     motion = motion_functions(scalar, False)
-    moved_on, drift_of, outgrows_lists = motion.moved_on, motion.drift_of, motion.outgrows_lists
-    watch_near, Links = motion.watch_near, links_struct(scalar)
+    moved_on, carry, Links = motion.moved_on, carry_function(scalar, meshes, half), links_struct(scalar)
     kicked, book = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
@@ -361,18 +359,11 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
             bodies.velocity[b] = velocity
             bodies.angular_momentum[b] = angular_momentum
             bodies.spin[b] = spin
-            drift = drift_of(scenes, s)
             begin = scenes.row[s].spheres + bodies.first[b + s]
             book(subcycled, spheres, q, begin)
             for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
-                offset = spheres.offset[i]
-                arm = wp.quat_rotate(orientation, xyz(offset))
-                if outgrows_lists(scenes, s, x + arm, offset[3], spheres.built[i], drift, wp.static(meshes)):
-                    flags[s, LATE] = 1
-                if wp.static(not half):
-                    watch_near(scenes, links, s, i, x + arm, offset[3])
-                spheres.position[i] = pack(x + arm, offset[3])
-                spheres.velocity[i] = pack(velocity + wp.cross(spin, arm), subcycled.mass[q])
-                spheres.spin[i] = pack(spin, scalar(0.0))
+                carry(
+                    flags, scenes, spheres, links, s, i, x, orientation, scalar(1.0), velocity, spin, subcycled.mass[q]
+                )
 
     return subcycle_bodies, foresee_bodies
