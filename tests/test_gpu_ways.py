@@ -332,6 +332,21 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         assert ".entry" in text.read_text()
 
 
+def test_the_smallest_scenes_meet_in_full_lists():
+    """Two spheres that collide, so one pair of which nothing is near at first; once a launch had no thread for it."""
+    found = []
+    for way in (nullcontext, share_out_like_a_gpu):
+        with way():
+            bodies = Bodies(positions=[[0.0, 0, 0], [0.025, 0, 0]], sizes=0.02, velocities=[[1.0, 0, 0], [0, 0, 0]])
+            scene = Scene(name="two", duration=1.0, gravity=(0, 0, 0), bodies=(bodies,))
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-5))
+            stepper.take(3000)
+            found.append(by_id(stepper.state, "velocity")[:, 0])
+    half, full = found
+    assert full == pytest.approx(half, rel=1e-12) and full[1] > full[0] >= -1e-12
+
+
 @pytest.mark.parametrize("count", [2, 240])
 def test_bonds_across_more_than_the_skin_stay_in_full_lists(count, like_a_gpu):
     """A sphere flies off that soft bonds tie to another, of which many more lie too close for the first search."""

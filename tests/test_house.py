@@ -167,12 +167,16 @@ def test_one_version_is_told_everywhere():
 
     import warpcrete
 
-    told = CliRunner().invoke(cli, ["--version"]).output
-    assert warpcrete.__version__ == importlib.metadata.version("warpcrete") == told.split()[-1]
-    assert "__version__" in dir(warpcrete)
     written = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M)
     cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.M)
     assert written[1] == cited[1]
+    try:
+        installed = importlib.metadata.version("warpcrete")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("run from its folder, it is not installed, and nothing else tells its version")
+    told = CliRunner().invoke(cli, ["--version"]).output
+    assert warpcrete.__version__ == installed == told.split()[-1]
+    assert "__version__" in dir(warpcrete)
 
 
 def test_wheel_holds_the_package_and_nothing_else(tmp_path):

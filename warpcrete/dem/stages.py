@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any
 
@@ -87,7 +88,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-int(CLOSE_LINKS * len(b.links.link)) // width) * width
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
     stages += [
         # Blocks by the spheres: kernels are compiled before there are links.
         b.stage(kernel, threads, threads=threads, block=block_size(n)),
