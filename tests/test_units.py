@@ -25,16 +25,18 @@ def figures(run: Run) -> tuple[float, float]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("unit", "peak", "end", "scatter"), [("vertical", 5894, 5363, 0.01), ("horizontal", 2135, 1536, 0.02)]
+    ("unit", "peak", "end", "scatter"), [("vertical", 5880, 5363, 0.006), ("horizontal", 2137, 1532, 0.013)]
 )
 def test_small_units_have_the_pressures_that_they_had(device, unit, peak, end, scatter):
-    """Means of four seeds [Pa]; eight lie within 0.5 % (vertical) and 1 % (horizontal), peaks within 3 %."""
-    run = Simulation(scenes.pipe(unit=unit, **SMALL), device=device).run()
-    assert run.result["plateau_pressure"]["value"] == pytest.approx(end, rel=scatter)
-    assert run.result["peak_pressure"]["value"] == pytest.approx(peak, rel=0.035)
+    """Means of twelve seeds [Pa]; of single ones plateaus scatter by 0.4 and 0.9 %, peaks by 1.2 %."""
+    runs = [Simulation(scenes.pipe(unit=unit, seed=seed, **SMALL), device=device).run() for seed in range(4)]
+    peaks, ends = zip(*map(figures, runs), strict=True)
+    assert np.mean(ends) == pytest.approx(end, rel=scatter)
+    assert np.mean(peaks) == pytest.approx(peak, rel=0.018)
     # Two of eight packings have a later oscillation above the first.
-    travel, pressure = run.series["travel"], run.series["pressure"]
-    assert 2e-3 < travel[np.argmax(pressure > 0.97 * run.result["peak_pressure"]["value"])] < 8e-3
+    for run, top in zip(runs, peaks, strict=True):
+        travel, pressure = run.series["travel"], run.series["pressure"]
+        assert 2e-3 < travel[np.argmax(pressure > 0.97 * top)] < 8e-3
 
 
 @pytest.mark.slow
