@@ -94,12 +94,17 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
     """Files that may not grow stand for a disk that is full; what is on disk by then stays."""
     recorders = {"series.csv": ["--no-rerun", "--no-usd"], "run.rrd": ["--no-usd"], "scene.usdc": ["--no-rerun"]}[file]
     options = tiny_options(travel=0.05) if file == "series.csv" else tiny_options()
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, str(limit), "run", "pipe", *options, "--frames", "2000", *recorders,
-         "--sample-interval", "5e-4", "--device", "cpu", "--out", str(tmp_path / "run"), "--quiet",
-         "--checkpoint-every", "0"],
-        capture_output=True, text=True, timeout=200,
-    )  # fmt: skip
+
+    def limited(to: int, out: str) -> subprocess.CompletedProcess:
+        return subprocess.run(
+            [sys.executable, "-c", LIMITED, str(to), "run", "pipe", *options, "--frames", "2000", *recorders,
+             "--sample-interval", "5e-4", "--device", "cpu", "--out", str(tmp_path / out), "--quiet",
+             "--checkpoint-every", "0"],
+            capture_output=True, text=True, timeout=200,
+        )  # fmt: skip
+
+    assert limited(10**9, "before").returncode == 0  # kernels that are still to be compiled would not fit, either
+    done = limited(limit, "run")
     # Rerun's own log may say more.
     lines = [line for line in done.stderr.splitlines() if not line.startswith("note:") and "re_" not in line]
     assert done.returncode == 2 and len(lines) == 1, done.stderr

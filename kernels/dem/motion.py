@@ -15,7 +15,8 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, 
 
 
 def motion_options(half: bool) -> dict:
-    """Of the compiler: a GPU divides as for contacts, see :func:`contacts.contact_options`."""
+    """Of the compiler: a GPU divides as for contacts, see :func:`contacts.contact_options`; sines, which only drives
+    along bends need, are off by 4e-7."""
     return {"fast_math": not half}
 
 
@@ -184,11 +185,11 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
         # state, read
         scenes: Scenes,
         pairs: Pairs,
-        links: Links,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
+        links: Links,
     ):
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
@@ -221,8 +222,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             total, lost = damped(total, velocity, damping, kick)
             velocity += total * (kick / mass)
             if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
-                if flags[s, FAILED] == 0:
-                    flags[s, FAILED] = 1 + i - scenes.row[s].spheres
+                wp.atomic_cas(flags, s, FAILED, 0, 1 + i - scenes.row[s].spheres)
                 continue
             place, rounding = moved_on(x, dt * velocity, read_vec3(bodies.rounding, i))
             write_vec3(bodies.rounding, i, rounding)
@@ -469,8 +469,7 @@ def clump_kernel(
             total, lost = damped(total, velocity, damping, kick)
             velocity += total * (kick / mass)
             if not (wp.length_sq(velocity) <= scenes.row[scene].speed_limit * scenes.row[scene].speed_limit):
-                if flags[scene, FAILED] == 0:
-                    flags[scene, FAILED] = 1 + b - scenes.row[scene].bodies
+                wp.atomic_cas(flags, scene, FAILED, 0, 1 + b - scenes.row[scene].bodies)
                 continue
             x, rounding = moved_on(x, dt * velocity, rounding)
             torque, lost_turning = damped(torque, spin_before, damping, kick)

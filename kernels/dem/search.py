@@ -82,7 +82,8 @@ SQUARE_APART = """
 
 @functools.cache
 def close_function(scalar):
-    """`is_close`: is a sphere within a gap of another? The same answer at every place of a kernel."""
+    """`is_close`: is a sphere within a gap of another? On a GPU the same answer at every place of a kernel, so that a
+    bond at the very skin is neither lost nor listed twice."""
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
     snippet = SQUARE_APART.replace("SCALAR", name)
@@ -102,9 +103,9 @@ def close_function(scalar):
 
 @functools.cache
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
-    """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded` and `belongs`.
+    """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded`, `belongs` and `held`.
 
-    Half lists look for bonds across wider gaps among all that is near, full ones in the list before: see `held`.
+    Half lists look for bonds across wider gaps among all that is near, full ones in the list before, by `held`.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -36,7 +36,8 @@ LANES_TOTAL = """
 
 
 def estimate_options(half: bool) -> dict:
-    """Of the compiler, as for contacts; see :func:`contacts.contact_options`."""
+    """Of the compiler, as for contacts; see :func:`contacts.contact_options`. The sums' reduction is exact: inertias of
+    small bodies, multiplied, are numbers that `fast_math` takes for zero."""
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 
 
@@ -279,7 +280,7 @@ def floor_function(scalar, pair_law, wall_law):
 
 
 @functools.cache
-def reduce_kernel(scalar, pair_law, wall_law, half: bool):
+def reduce_kernel(scalar, pair_law, wall_law):
     """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums."""
     t = types(scalar)
     structs = array_structs(scalar)
@@ -296,7 +297,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
+    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
     def reduce_step(
         # model
         pair_parameters: wp.array(dtype=PairParameters),

@@ -345,8 +345,7 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
             kick = scalar(0.25) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
             velocity, angular_momentum = kicked(subcycled, q, kick)
             if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
-                if flags[s, FAILED] == 0:
-                    flags[s, FAILED] = 1 + b - scenes.row[s].bodies
+                wp.atomic_cas(flags, s, FAILED, 0, 1 + b - scenes.row[s].bodies)
                 continue
             subcycled.velocity[q] = velocity
             subcycled.angular_momentum[q] = angular_momentum

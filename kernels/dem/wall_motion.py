@@ -95,7 +95,7 @@ def motion_functions(scalar, strokes: bool):
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-            flags[s, FAILED] = -1 - (w - scenes.row[s].walls)
+            wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))  # before bodies, which a GPU moves beside
         walls.velocity_exact[w] = speed * direction
         walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction
         walls.travel[w] = walls.travel[w] + dt * speed

@@ -108,6 +108,10 @@ class Stage:
         """The kernel function's."""
         return self.kernel.func.__name__
 
+    def is_due(self, turn: int, size: int) -> bool:
+        """Whether it is taken in a step of a graph of so many."""
+        return turn % self.every == 0 and 2 * size >= self.every
+
     def record(self) -> None:
         """Make ready, kernel loaded; nothing runs."""
         if self._command is None and tasks_of(self.dim):
@@ -352,7 +356,7 @@ class Launcher:
         for part in step:
             with wp.ScopedCapture(device=self.device) as capture:
                 for turn in range(size):
-                    due = [stage for stage in part if turn % stage.every == 0 and 2 * size >= stage.every]
+                    due = [stage for stage in part if stage.is_due(turn, size)]
                     if parallel(self.device) and self.device.is_cuda:
                         _launch_beside(due, self.device)
                     else:

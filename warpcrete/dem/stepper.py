@@ -29,8 +29,8 @@ from .subcycling import MARGIN, rounds_for
 from .watch import unstable
 
 # Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
-# that rebuilding less often pays: where there are few spheres above all (28,000: 80 and 72 us a step at 0.7 and 1.0;
-# 100,000 and more are 2 or 3 % slower then).
+# that rebuilding less often pays where there are few spheres (28,000: 52, 48, 52 and 65 us a step at 0.7, 1.0, 1.4 and
+# 2.0; 100,000 and more were 2 or 3 % slower at 1.0).
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW = 50_000
 MESH_SKIN = 4  # times the skin
