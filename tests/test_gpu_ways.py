@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from conftest import by_id
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
@@ -23,16 +22,14 @@ from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
+from warpcrete.dem.scene import TimeStep
 from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem import links
-from warpcrete.kernels.dem.linking import BITS
-from warpcrete.kernels.dem.motion import clump_kernel
-from warpcrete.kernels.dem.pairs import BLOCK as ENTRIES
+from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.stable_step import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver
@@ -330,91 +327,6 @@ def test_every_kernel_of_a_step_compiles_for_a_gpu(pick, tmp_path):
         wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=folder, use_ptx=True)
         (text,) = folder.glob("*.ptx")
         assert ".entry" in text.read_text()
-
-
-def test_the_smallest_scenes_meet_in_full_lists():
-    """Two spheres that collide, so one pair of which nothing is near at first; once a launch had no thread for it."""
-    found = []
-    for way in (nullcontext, share_out_like_a_gpu):
-        with way():
-            bodies = Bodies(positions=[[0.0, 0, 0], [0.025, 0, 0]], sizes=0.02, velocities=[[1.0, 0, 0], [0, 0, 0]])
-            scene = Scene(name="two", duration=1.0, gravity=(0, 0, 0), bodies=(bodies,))
-            model = build_model(scene, find_device("cpu"), "float64")
-            stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-5))
-            stepper.take(3000)
-            found.append(by_id(stepper.state, "velocity")[:, 0])
-    half, full = found
-    assert full == pytest.approx(half, rel=1e-12) and full[1] > full[0] >= -1e-12
-
-
-@pytest.mark.parametrize("count", [2, 240])
-def test_bonds_across_more_than_the_skin_stay_in_full_lists(count, like_a_gpu):
-    """A sphere flies off that soft bonds tie to another, of which many more lie too close for the first search."""
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
-    height = 1 - 2 * (np.arange(count) + 0.5) / count
-    out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
-    away = 5.0 * out * (np.arange(count) < 2)[:, None]
-    scene = Scene(
-        name="tied",
-        duration=1.0,
-        gravity=(0, 0, 0),
-        contact=Contact(friction=0.0, normal_damping_ratio=0.0),
-        bonds=Bonds(effective_modulus=1.0, tensile_strength=1e12, cohesion=1e12, gap=1e-3),
-        bodies=(
-            Bodies(positions=[[0.0, 0, 0]], sizes=0.1),
-            Bodies(positions=0.0551 * out, sizes=0.01, velocities=away),
-        ),
-    )
-    model = build_model(scene, find_device("cpu"), "float64")
-    stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-4))
-    assert stepper.bond(scene.bonds, 1) >= count
-    gaps = []
-    for _ in range(6):
-        stepper.take(100)
-        before = contact_sums(model, stepper.state)
-        stepper.rebuild()
-        after = contact_sums(model, stepper.state)
-        assert after.bonded == before.bonded and after.bond_energy == pytest.approx(before.bond_energy, rel=1e-12)
-        position = by_id(stepper.state, "position")
-        gaps.append(np.linalg.norm(position[1] - position[0]) - 0.055)
-    assert max(gaps) > 2 * stepper.skin
-
-
-@pytest.mark.parametrize("count", [60, 240])
-def test_a_sphere_feels_entries_of_which_no_bits_tell(count):
-    """A large sphere that many small ones press on, some of which are thrown off and come back."""
-    assert int(ENTRIES) < 60 < int(BITS) < 240
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
-    height = 1 - 2 * (np.arange(count) + 0.5) / count
-    out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
-    found = []
-    for way in (nullcontext, share_out_like_a_gpu):
-        with way():
-            scene = Scene(
-                name="urchin",
-                duration=1.0,
-                gravity=(0, 0, 0),
-                contact=Contact(friction=0.4),
-                energy_balance=True,
-                bodies=(
-                    Bodies(positions=[[0.0, 0, 0]], sizes=0.1, spins=np.array([[0.0, 0, 3.0]])),
-                    Bodies(positions=0.0549 * out, sizes=0.01, velocities=0.08 * out * (height[:, None] > 0.3)),
-                ),
-            )
-            model = build_model(scene, find_device("cpu"), "float64")
-            stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=2e-6))
-            assert np.diff(stepper.state.pairs.start.numpy()).max() >= count or not model.features.half_list
-            states = []
-            for _ in range(6):
-                stepper.take(200)
-                stepper.rebuild()
-                states.append((contact_sums(model, stepper.state).contacts, by_id(stepper.state, "position")))
-            found.append((states, by_id(stepper.state, "spin"), stepper.state.spheres.dissipated_energy.numpy().sum()))
-    (half, spin, lost), (full, other_spin, other_lost) = found
-    counts = [count for count, _ in half]
-    assert counts == [count for count, _ in full] and max(counts) > 31 and min(counts) < max(counts)
-    assert np.abs(half[-1][1] - full[-1][1]).max() < 1e-13 and np.abs(spin - other_spin).max() < 1e-10
-    assert lost == pytest.approx(other_lost, rel=1e-9) and lost > 0
 
 
 @pytest.mark.parametrize("shapes", ["spheres", "shape-1.5"])

@@ -1,4 +1,4 @@
-"""Motion of rigid bodies: forces gathered from a body's own spheres, leapfrog, spheres carried along."""
+"""Motion of bodies that are all single spheres, and what all bodies share: turns, drives, damping, tests of lists."""
 
 import functools
 from types import SimpleNamespace
@@ -9,9 +9,9 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions, warp_functions
+from .links import pull_functions
 from .near import NEAR
-from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct, subcycled_struct
+from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 
 
 def motion_options(half: bool) -> dict:
@@ -152,6 +152,33 @@ def motion_functions(scalar, dissipation: bool):
 
 
 @functools.cache
+def placing_function(scalar, meshes: bool, half: bool):
+    """`place_sphere`: writes where a sphere has got to, and notes where lists may miss a contact in the next step."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
+    pack = vector_functions(scalar).pack
+    motion = motion_functions(scalar, False)
+    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
+    rows = row_functions(scalar)
+    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
+
+    @wp.func
+    def place_sphere(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
+        place: t.vec3, radius: scalar,
+    ):  # fmt: skip
+        drift = drift_of(scenes, s)
+        if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
+            flags[s, LATE] = 1
+        if wp.static(not half):
+            watch_near(scenes, links, s, i, place, radius)
+        write_vec4(spheres.position, i, pack(place, radius))
+
+    return place_sphere
+
+
+@functools.cache
 def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool):
     """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
 
@@ -167,7 +194,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
+    place_sphere = placing_function(scalar, meshes, half)
     rows = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
     Links = links_struct(scalar)
@@ -246,12 +273,7 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
                 radius = spheres.offset[i][3] * wp.min(
                     scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end
                 )
-            drift = drift_of(scenes, s)
-            if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
-                flags[s, LATE] = 1
-            if wp.static(not half):
-                watch_near(scenes, links, s, i, place, radius)
-            write_vec4(spheres.position, i, pack(place, radius))
+            place_sphere(flags, scenes, spheres, links, s, i, place, radius)
             write_vec4(spheres.velocity, i, pack(velocity, mass))
 
     return move_spheres
@@ -272,224 +294,3 @@ def sync_kernel(scalar):
         bodies.spin[i] = xyz(spheres.spin[i])
 
     return sync_bodies
-
-
-@functools.cache
-def gather_functions(scalar, dissipation: bool, width: int):
-    """What a body's spheres have met: force [N], moment about its centroid [N m]. `gather` of half lists, cleared for
-    the next step; `gather_abreast` of full ones, by so many lanes a body, and the energy that their links lost [J].
-    """
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Spheres, Pairs, Links = structs.Spheres, structs.Pairs, links_struct(scalar)
-    xyz = vector_functions(scalar).xyz
-    rows = row_functions(scalar)
-    read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
-    _, pulled = pull_functions(scalar)
-    together = warp_functions(scalar, width)
-    anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
-    settle = together.settle
-
-    @wp.func
-    def gather(spheres: Spheres, begin: wp.int32, end: wp.int32, x: t.vec3):
-        total = t.vec3()
-        torque = t.vec3()
-        for i in range(begin, end):
-            f = read_vec3(spheres.force, i)
-            total += f
-            torque += read_vec3(spheres.moment, i) + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
-            write_vec3(spheres.force, i, t.vec3())
-            write_vec3(spheres.moment, i, t.vec3())
-        return total, torque
-
-    @wp.func
-    def gather_abreast(
-        spheres: Spheres, pairs: Pairs, links: Links, begin: wp.int32, end: wp.int32, first: wp.int32, lane: wp.int32,
-        lanes: wp.int32, row: wp.int32, scene: wp.int32, x: t.vec3,
-    ):  # fmt: skip
-        """All threads of a warp must call; `first` is where in it the body's lanes begin. Sums go by the order of the
-        spheres, whatever the number of lanes."""
-        total = t.vec3()
-        torque = t.vec3()
-        lost = wp.float64(0.0)
-        place = begin
-        while anywhere(place < end):
-            i = place + lane
-            f = t.vec3()
-            m = t.vec3()
-            taken = wp.float64(0.0)
-            if i < end:
-                by_links, turned, taken_by_links = pulled(spheres, pairs, links, i, row, i + scene)
-                f = read_vec3(spheres.force, i) + by_links
-                m = read_vec3(spheres.moment, i) + turned
-                m = m + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
-                taken = taken_by_links
-            for other in range(lanes):
-                total += t.vec3(
-                    from_lane(f[0], first + other), from_lane(f[1], first + other), from_lane(f[2], first + other)
-                )
-                torque += t.vec3(
-                    from_lane(m[0], first + other), from_lane(m[1], first + other), from_lane(m[2], first + other)
-                )
-                if wp.static(dissipation):
-                    lost += energy_from_lane(taken, first + other)
-            place += lanes
-        settle()
-        return total, torque, lost
-
-    return gather, gather_abreast
-
-
-@functools.cache
-def carry_function(scalar, meshes: bool, half: bool):
-    """`carry`: takes a sphere along with its body, and looks whether lists still hold all that it may touch."""
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
-    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
-    motion = motion_functions(scalar, False)
-    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
-    rows = row_functions(scalar)
-    read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
-
-    @wp.func
-    def carry(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
-        x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar,
-    ):  # fmt: skip
-        """`x` and what follows are the body's; `size` is a factor of its full size."""
-        offset = read_vec4(spheres.offset, i)
-        arm = wp.quat_rotate(orientation, xyz(offset)) * size
-        place = x + arm
-        radius = offset[3] * size
-        drift = drift_of(scenes, s)
-        if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
-            flags[s, LATE] = 1
-        if wp.static(not half):
-            watch_near(scenes, links, s, i, place, radius)
-        write_vec4(spheres.position, i, pack(place, radius))
-        write_vec4(spheres.velocity, i, pack(velocity + wp.cross(spin, arm), mass))
-        write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
-
-    return carry
-
-
-@functools.cache
-def clump_kernel(
-    scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, width: int
-):
-    """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
-
-    Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
-    before to the middle of this one, so the step size may change on the way. Bodies with three principal
-    moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
-    time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
-
-    On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, all move it, and each carries its spheres along. Tasks are whole warps.
-    """
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
-    turned, spin_at_middle = rotation_functions(scalar)
-    gather, gather_abreast = gather_functions(scalar, dissipation, width)
-    Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
-    motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
-    Segment, drive_force_at = motion.Segment, motion.drive_force_at
-    damped, moved_on = motion.damped, motion.moved_on
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
-    def move_clumps(
-        # model
-        segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # chunk
-        first: wp.int32, last: wp.int32, lane_bits: wp.int32,
-        # state, read
-        scenes: Scenes, pairs: Pairs,
-        # state, read and written
-        flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
-    ):  # fmt: skip
-        lanes = 1 << lane_bits
-        lane, stride = wp.int32(0), wp.int32(1)
-        begin_b, end_b = wp.int32(0), wp.int32(0)
-        if wp.static(half):
-            begin_b = first + wp.tid() * wp.static(SPAN)
-            end_b = wp.min(begin_b + wp.static(SPAN), last)
-        else:
-            lane, stride = wp.tid() & (lanes - 1), lanes
-            begin_b = wp.tid() >> lane_bits
-            end_b = begin_b + 1
-        for each in range(begin_b, end_b):
-            b = wp.min(each, last - 1)
-            scene = bodies.scene[b]
-            here = each < last and flags[scene, HALTED] == 0
-            if wp.static(half):
-                if not here:
-                    continue
-            dt = scalar(scenes.clock[scene, DT])
-            kick = scalar(0.5) * scalar(scenes.clock[scene, DT] + scenes.clock[scene, DT_PREVIOUS])
-            damping = scenes.row[scene].local_damping
-            x = bodies.position[b]
-            mass = bodies.mass[b]
-            begin = scenes.row[scene].spheres + bodies.first[b + scene]
-            end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
-            # All that other lanes may overwrite is read before they meet.
-            velocity = bodies.velocity[b]
-            rounding = bodies.rounding[b]
-            spin_before = bodies.spin[b]
-            q = bodies.orientation[b]
-            momentum_before = bodies.angular_momentum[b]
-
-            total, torque = t.vec3(), t.vec3()
-            taken = wp.float64(0.0)
-            if wp.static(half):
-                total, torque = gather(spheres, begin, end, x)
-            else:
-                total, torque, taken = gather_abreast(
-                    spheres, pairs, links, begin, wp.where(here, end, begin), wp.tid() % width - lane, lane, lanes,
-                    scenes.row[scene].pairs, scene, x,
-                )  # fmt: skip
-                if not here:
-                    continue
-                if wp.static(dissipation):
-                    if lane == 0:
-                        spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + taken
-            if wp.static(drives):
-                group = bodies.group[b]
-                if group > 0:
-                    total += drive_force_at(segments, drive_axis, drive_force, scenes.row[scene].groups + group, x)
-            total += mass * scenes.row[scene].gravity
-
-            if wp.static(subcycling):
-                if subcycled.member[b] != 0:
-                    if lane == 0:
-                        subcycled.other_force[subcycled.member[b] - 1] = total
-                        subcycled.other_torque[subcycled.member[b] - 1] = torque
-                    continue
-            total, lost = damped(total, velocity, damping, kick)
-            velocity += total * (kick / mass)
-            if not (wp.length_sq(velocity) <= scenes.row[scene].speed_limit * scenes.row[scene].speed_limit):
-                wp.atomic_cas(flags, scene, FAILED, 0, 1 + b - scenes.row[scene].bodies)
-                continue
-            x, rounding = moved_on(x, dt * velocity, rounding)
-            torque, lost_turning = damped(torque, spin_before, damping, kick)
-            angular_momentum = momentum_before + kick * torque
-            spin = spin_at_middle(q, angular_momentum, bodies.inertia[b], dt)
-            orientation = wp.normalize(turned(q, dt * spin))
-            if lane == 0:
-                bodies.rounding[b] = rounding
-                bodies.position[b] = x
-                bodies.velocity[b] = velocity
-                bodies.angular_momentum[b] = angular_momentum
-                bodies.orientation[b] = orientation
-                bodies.spin[b] = spin
-                if wp.static(dissipation):
-                    spheres.dissipated_energy[begin] = spheres.dissipated_energy[begin] + lost + lost_turning
-
-            size = scalar(1.0)
-            if wp.static(growth):
-                size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
-            for i in range(begin + lane, end, stride):
-                carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass)
-
-    return move_clumps

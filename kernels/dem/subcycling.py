@@ -22,8 +22,9 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.types import SPAN, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
+from .clump_motion import carry_function
 from .contacts import contact_options
-from .motion import carry_function, motion_functions, rotation_functions
+from .motion import motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
 from .search import find_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct

@@ -82,7 +82,7 @@ class Stage:
 
     On a GPU stages that are `beside` run at the same time as those that follow, up to one that `meets` them; all that
     are beside a step's others run one after the other. One that is taken `every` so many steps goes before the first
-    of as many in a graph, but for graphs of less than half of that.
+    of as many in a graph; where graphs hold less than half of that, behind some of them: see :class:`Launcher`.
     """
 
     def __init__(
@@ -277,6 +277,8 @@ class Launcher:
     def __init__(self, threads: int, device: Any) -> None:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool], list[Any]] = {}
+        self._now_and_then: Callable[[], None] | None = None
+        self._without = 0  # steps since what is taken now and then was
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Where threads wait for one another, shape (GATE,)."""
         self.crowding = Crowding()
@@ -293,6 +295,7 @@ class Launcher:
     def invalidate_graphs(self) -> None:
         """Forget the graphs: they hold arrays or chunks that are no more."""
         self._graphs.clear()
+        self._now_and_then = None
 
     def replay(self, step: Step, alone: Callable[[], Step], sizes: list[int], ended: Callable[[], bool]) -> None:
         """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle.
@@ -312,8 +315,21 @@ class Launcher:
             self._together([functools.partial(self._run, part, now, crowded, ended) for part in parts])
             if self._pool is not None and not crowded:
                 self.crowding.stepped(time.perf_counter() - begun)
+            self._catch_up(step[0], now)
             if left and not parallel(self.device) and ended():
                 return
+
+    def _catch_up(self, stages: list[Any], sizes: list[int]) -> None:
+        """Launch what is taken every so many steps, where graphs of these sizes are too short to hold it."""
+        seldom = [stage for stage in stages if stage.every > 1]
+        if not seldom:
+            return
+        held = any(stage.is_due(0, size) for stage in seldom for size in sizes)
+        self._without = 0 if held else self._without + sum(sizes)
+        if self._without >= seldom[0].every:
+            self._now_and_then = self._now_and_then or at_once(seldom, self.device)
+            self._now_and_then()
+            self._without = 0
 
     def _run(self, part: int, sizes: list[int], crowded: bool, ended: Callable[[], bool]) -> None:
         if not crowded:

@@ -17,17 +17,7 @@ import warp as wp
 from ..core.device import parallel
 from ..core.errors import CapacityError, refuse
 from ..core.exchange import Exchange
-from ..core.launching import (
-    DEFAULT_BLOCK,
-    Launcher,
-    Size,
-    Stage,
-    Step,
-    at_once,
-    by_one_thread,
-    graph_sizes,
-    parameter_names,
-)
+from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
 from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
 from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS, WAITS
@@ -359,8 +349,6 @@ class Batch:
         `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate.
         """
         self._step, self._between = step, between
-        self._now_and_then: Callable[[], None] | None = None
-        self._since = 0
 
     @property
     def has_step(self) -> bool:
@@ -445,7 +433,6 @@ class Batch:
                 whole = self.parallel and self.count == 1 and count == self.rows["interval"][0] and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
-                self._catch_up(sizes)
                 if self._between is not None:
                     self._between()
         finally:  # an interruption leaves bodies where their spheres are
@@ -454,19 +441,6 @@ class Batch:
         flags = self.host_flags().copy()
         self.ahead.stepped(int(flags[0, int(STEPS)]) - before, sum(pieces))
         return flags
-
-    def _catch_up(self, sizes: list[int]) -> None:
-        """Launch what a step takes every so many steps, where graphs of these sizes are too short to hold it."""
-        assert self._step is not None
-        stages = [stage for stage in self._step[0] if stage.every > 1]
-        if not stages:
-            return
-        held = any(stage.is_due(0, size) for stage in stages for size in sizes)
-        self._since = 0 if held else self._since + sum(sizes)
-        if self._since >= stages[0].every:
-            self._now_and_then = self._now_and_then or at_once(stages, self.device)
-            self._now_and_then()
-            self._since = 0
 
     def _alone(self) -> Step:
         assert self._step is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -124,13 +125,13 @@ class NeighborLists:
         width = self._cells.width()
         self._cells.fit(width, due)
         launches = self._launches(sort)
-        self._run(launches, "before")
+        self._run(launches, self._before)
         self._cells.build(self._centre, width)
         if b.features.half_list:
             launches = self._search(sort)
             self._scan(launches)
         else:
-            self._run(launches, "search")
+            self._run(launches, self._search_all)
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(wanted)
@@ -141,7 +142,7 @@ class NeighborLists:
         if b.features.half_list:
             b.in_parts(launches.transfer)
         else:
-            self._run(launches, "fill")
+            self._run(launches, self._fill)
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # from the next build on
@@ -155,29 +156,22 @@ class NeighborLists:
                 launches = self._launches(sort)
             launches.faces[2]()
         b.subcycles.locate()
-        self._run(launches, "after")
+        self._run(launches, self._after)
         b.device_changed()
         b.ahead.built()
 
-    def _run(self, launches: _Launches, part: str) -> None:
+    def _run(self, launches: _Launches, part: Callable[[_Launches], None]) -> None:
         """A part of a rebuild; on a GPU a graph from the second time on: most of a rebuild is waiting for launches."""
-        calls = {
-            "before": lambda: self._before(launches),
-            "search": lambda: self._search_all(launches),
-            "fill": lambda: self._fill(launches),
-            "after": lambda: self._after(launches),
-        }
-        graph = launches.graphs.get(part)
-        if graph is not None:
-            wp.capture_launch(graph)
-        elif part in launches.ran and self.batch.device.is_cuda:
-            with wp.ScopedCapture(device=self.batch.device) as capture:
-                calls[part]()
-            launches.graphs[part] = capture.graph
-            wp.capture_launch(capture.graph)
-        else:
-            calls[part]()
-            launches.ran.add(part)
+        name, device = part.__name__, self.batch.device
+        if name not in launches.ran or not device.is_cuda:
+            part(launches)
+            launches.ran.add(name)
+            return
+        if name not in launches.graphs:
+            with wp.ScopedCapture(device=device) as capture:
+                part(launches)
+            launches.graphs[name] = capture.graph
+        wp.capture_launch(launches.graphs[name])
 
     def _before(self, launches: _Launches) -> None:
         wp.copy(self._old.start, self.batch.pairs.start)

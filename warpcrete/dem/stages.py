@@ -10,10 +10,11 @@ from ..core.launching import Stage, block_size, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
+from ..kernels.dem.clump_motion import clump_kernel
 from ..kernels.dem.contacts import contact_kernel
 from ..kernels.dem.links import WARP, link_kernel, surface_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
-from ..kernels.dem.motion import clump_kernel, sphere_kernel
+from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
 from ..kernels.dem.wall_motion import advance_kernel
 from .batch import Batch
