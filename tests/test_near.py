@@ -33,14 +33,14 @@ SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, si
 def outrun(monkeypatch):
     """After every launch, of each scene: may near links miss a contact?"""
     found: list[int] = []
-    launch = Batch.launch
+    settle = Batch.settle
 
     def noting(self):
-        flags = launch(self)
+        flags = settle(self)
         found.extend(self.links.outrun.numpy().tolist())
         return flags
 
-    monkeypatch.setattr(Batch, "launch", noting)
+    monkeypatch.setattr(Batch, "settle", noting)
     return found
 
 

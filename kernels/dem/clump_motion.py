@@ -8,22 +8,23 @@ from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
 from .links import pull_functions, warp_functions
-from .motion import motion_functions, motion_options, placing_function, rotation_functions
+from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 
 @functools.cache
-def gather_functions(scalar, dissipation: bool, width: int):
-    """What a body's spheres have met: force [N], moment about its centroid [N m]. `gather` of half lists, cleared for
-    the next step; `gather_abreast` of full ones, by so many lanes a body, and the energy that their links lost [J].
+def gather_functions(scalar, dissipation: bool, rows: int, width: int):
+    """What a body's spheres have met: force [N], moment about its centroid [N m], cleared for the next step. `gather`
+    of half lists; `gather_abreast` of full ones, by so many lanes a body, and the energy that their links lost [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs, Links = structs.Spheres, structs.Pairs, links_struct(scalar)
     xyz = vector_functions(scalar).xyz
-    rows = row_functions(scalar)
-    read_vec3, read_vec4, write_vec3 = rows.read_vec3, rows.read_vec4, rows.write_vec3
-    _, pulled = pull_functions(scalar)
+    each = row_functions(scalar)
+    read_vec3, read_vec4 = each.read_vec3, each.read_vec4
+    pulled = pull_functions(scalar, rows).pulled
+    take_half, take_full = taking_function(scalar, True), taking_function(scalar, False)
     together = warp_functions(scalar, width)
     anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
     settle = together.settle
@@ -33,11 +34,10 @@ def gather_functions(scalar, dissipation: bool, width: int):
         total = t.vec3()
         torque = t.vec3()
         for i in range(begin, end):
-            f = read_vec3(spheres.force, i)
+            f, m = read_vec3(spheres.force, i), read_vec3(spheres.moment, i)
             total += f
-            torque += read_vec3(spheres.moment, i) + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
-            write_vec3(spheres.force, i, t.vec3())
-            write_vec3(spheres.moment, i, t.vec3())
+            torque += m + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
+            take_half(spheres, i, f, m)
         return total, torque
 
     @wp.func
@@ -58,8 +58,9 @@ def gather_functions(scalar, dissipation: bool, width: int):
             taken = wp.float64(0.0)
             if i < end:
                 by_links, turned, taken_by_links = pulled(spheres, pairs, links, i, row, i + scene)
-                f = read_vec3(spheres.force, i) + by_links
-                m = read_vec3(spheres.moment, i) + turned
+                f, m = read_vec3(spheres.force, i), read_vec3(spheres.moment, i)
+                take_full(spheres, i, f, m)
+                f, m = f + by_links, m + turned
                 m = m + wp.cross(xyz(read_vec4(spheres.position, i)) - x, f)
                 taken = taken_by_links
             for other in range(lanes):
@@ -106,8 +107,9 @@ def carry_function(scalar, meshes: bool, half: bool):
 
 @functools.cache
 def clump_kernel(
-    scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, width: int
-):
+    scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, rows: int,
+    width: int,
+):  # fmt: skip
     """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
     Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
@@ -116,13 +118,14 @@ def clump_kernel(
     time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, all move it, and each carries its spheres along. Tasks are whole warps.
+    spheres have met, from so many `rows` a link, all move it, and each carries its spheres along. Tasks are whole
+    warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     turned, spin_at_middle = rotation_functions(scalar)
-    gather, gather_abreast = gather_functions(scalar, dissipation, width)
+    gather, gather_abreast = gather_functions(scalar, dissipation, rows, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
     motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at

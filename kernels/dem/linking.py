@@ -40,9 +40,9 @@ def mark_function(scalar):
 
 
 @functools.cache
-def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int):
+def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int):
     """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``, so many `lanes`
-    a sphere, to which its entries fall in turn.
+    a sphere, to which its entries fall in turn. A link gives so many `rows`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -65,16 +65,12 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int)
         i = wp.tid()
         s = spheres.scene[i]
         own = wp.int32(0)
-        stale = flags[s, STALE] != 0
-        begin = scenes.row[s].pairs + pairs.start[i + s]
-        for k in range(begin, scenes.row[s].pairs + pairs.start[i + s + 1]):
+        row = scenes.row[s].pairs
+        for k in range(row + pairs.start[i + s], row + pairs.start[i + s + 1]):
             if pairs.other[k] >= 0:
                 own += 1
-            if stale and k - begin >= BITS:
-                links.pull[2 * k] = t.vec4()
-                links.pull[2 * k + 1] = t.vec4()
         count[i + s] = own
-        if stale:
+        if flags[s, STALE] != 0:
             spheres.touching[i] = 0
             for word in range(MORE):
                 links.more[MORE * i + word] = 0
@@ -122,6 +118,11 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, lanes: int)
                     remembers = remembers or pairs.bond[row + k] != 0
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.touched[p] = wp.where(remembers, 1, 0)
+                links.end[row + k] = p - row / 2
+                links.end[row + twin] = -1 - (p - row / 2)
+                if k - pairs.start[i + s] >= BITS or twin - begin >= BITS:  # summed, whether it touches or not
+                    for each in range(rows):
+                        links.pull[rows * p + each] = t.vec4()
                 if remembers:
                     mark(spheres, links, i, k - pairs.start[i + s], True)
                     mark(spheres, links, base + j, twin - begin, True)

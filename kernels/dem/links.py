@@ -1,9 +1,9 @@
 """Contacts between spheres on a GPU: a thread a pair, and sums of each sphere's in a fixed order.
 
 Lists hold every pair at both spheres; a *link* is a pair once. A step looks at those that are `near`: most links of a
-list do not touch. What a link gives stands at both entries of its pair, and is added up for each sphere in the order of
-the list, by the kernel that moves bodies: forces need no atomic, and bits depend on no order of threads. Planes and
-pipes have a kernel of their own, a thread a sphere, which runs beside.
+list do not touch. What a link gives is added up for each of its spheres in the order of the list, by the kernel that
+moves bodies: forces need no atomic, and bits depend on no order of threads. Planes and pipes have a kernel of their
+own, a thread a sphere, which runs beside.
 """
 
 import functools
@@ -26,22 +26,61 @@ WARP = 32
 """Threads of a warp."""
 
 
+def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
+    """Rows of four numbers that a link gives: a third where it has a moment of its own or loses energy."""
+    return 3 if bonds or rolls or dissipation else 2
+
+
 @functools.cache
-def pull_functions(scalar):
-    """`pull` writes the two rows of an entry; `pulled` adds up those of a sphere: force [N], moment [N m] and lost
-    energy [J]."""
+def pull_functions(scalar, count: int):
+    """`pull` writes the rows of a link, `count` of them, and `part_pull` those of one that meets no more; `pulled` adds
+    up what its links give a sphere: force [N], moment [N m] and lost energy [J]."""
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
     Links = links_struct(scalar)
-    xyz = vector_functions(scalar).xyz
+    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     rows = row_functions(scalar)
     read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
 
     @wp.func
-    def pull(links: Links, k: wp.int32, force: t.vec3, moment: t.vec3, lost: scalar):
-        write_vec4(links.pull, 2 * k, t.vec4(force[0], force[1], force[2], moment[0]))
-        write_vec4(links.pull, 2 * k + 1, t.vec4(moment[1], moment[2], lost, scalar(0.0)))
+    def pull(
+        links: Links, p: wp.int32, force: t.vec3, arm_i: scalar, turn: t.vec3, arm_j: scalar, own: t.vec3, lost: scalar
+    ):
+        write_vec4(links.pull, count * p, pack(force, arm_i))
+        write_vec4(links.pull, count * p + 1, pack(turn, arm_j))
+        if wp.static(count > 2):
+            write_vec4(links.pull, count * p + 2, pack(own, lost))
+
+    @wp.func
+    def part_pull(links: Links, p: wp.int32, lost: scalar):
+        pull(links, p, t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), t.vec3(), lost)
+
+    @wp.func
+    def rows_of(links: Links, first: wp.int32, end: wp.int32):
+        p = first + wp.where(end >= 0, end, -1 - end)
+        own = t.vec4()
+        if wp.static(count > 2):
+            own = read_vec4(links.pull, count * p + 2)
+        return read_vec4(links.pull, count * p), read_vec4(links.pull, count * p + 1), own
+
+    @wp.func
+    def force_at(end: wp.int32, force: t.vec4):
+        """On the sphere at this end of a link."""
+        return wp.where(end >= 0, xyz(force), -xyz(force))
+
+    @wp.func
+    def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4, own: t.vec4):
+        """About the centre of that sphere."""
+        moment = wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
+        if wp.static(count > 2):
+            moment = moment + wp.where(end >= 0, xyz(own), -xyz(own))
+        return moment
+
+    @wp.func
+    def lost_at(end: wp.int32, own: t.vec4):
+        """Of a link's two ends the first loses its energy."""
+        return wp.where(end >= 0, wp.float64(own[3]), wp.float64(0.0))
 
     @wp.func
     def pulled(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
@@ -61,36 +100,50 @@ def pull_functions(scalar):
                 left = read_int(links.more, MORE * i + word - 1)
             while left != 0:
                 # Four at a time: while one is waited for, the others come.
-                k = block + lowest_bit(left)
+                q = read_int(links.end, block + lowest_bit(left))
                 left = left & (left - 1)
-                a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-                c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
+                u, v, w = wp.int32(0), wp.int32(0), wp.int32(0)
+                found = wp.int32(1)
                 if left != 0:
-                    k = block + lowest_bit(left)
+                    u = read_int(links.end, block + lowest_bit(left))
                     left = left & (left - 1)
-                    c, d = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                    found = 2
                 if left != 0:
-                    k = block + lowest_bit(left)
+                    v = read_int(links.end, block + lowest_bit(left))
                     left = left & (left - 1)
-                    e, f = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
+                    found = 3
                 if left != 0:
-                    k = block + lowest_bit(left)
+                    w = read_int(links.end, block + lowest_bit(left))
                     left = left & (left - 1)
-                    g, h = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-                force = (((force + xyz(a)) + xyz(c)) + xyz(e)) + xyz(g)
-                moment = (moment + t.vec3(a[3], b[0], b[1])) + t.vec3(c[3], d[0], d[1])
-                moment = (moment + t.vec3(e[3], f[0], f[1])) + t.vec3(g[3], h[0], h[1])
-                lost += (wp.float64(b[2]) + wp.float64(d[2])) + (wp.float64(f[2]) + wp.float64(h[2]))
+                    found = 4
+                a, b, c = rows_of(links, row / 2, q)
+                d, e, f = t.vec4(), t.vec4(), t.vec4()
+                g, h, k = t.vec4(), t.vec4(), t.vec4()
+                x, y, z = t.vec4(), t.vec4(), t.vec4()
+                if found > 1:
+                    d, e, f = rows_of(links, row / 2, u)
+                if found > 2:
+                    g, h, k = rows_of(links, row / 2, v)
+                if found > 3:
+                    x, y, z = rows_of(links, row / 2, w)
+                # One after the other: what has just parted, and adds nothing, may stand between.
+                force = (((force + force_at(q, a)) + force_at(u, d)) + force_at(v, g)) + force_at(w, x)
+                moment = (moment + moment_at(q, a, b, c)) + moment_at(u, d, e, f)
+                moment = (moment + moment_at(v, g, h, k)) + moment_at(w, x, y, z)
+                if wp.static(count > 2):
+                    lost = (((lost + lost_at(q, c)) + lost_at(u, f)) + lost_at(v, k)) + lost_at(w, z)
             block += BLOCK
             word += 1
-        for k in range(begin + BITS, end):  # no bits tell of these
-            a, b = read_vec4(links.pull, 2 * k), read_vec4(links.pull, 2 * k + 1)
-            force += xyz(a)
-            moment += t.vec3(a[3], b[0], b[1])
-            lost += wp.float64(b[2])
+        for entry in range(begin + BITS, end):  # no bits tell of these
+            q = read_int(links.end, entry)
+            a, b, c = rows_of(links, row / 2, q)
+            force += force_at(q, a)
+            moment += moment_at(q, a, b, c)
+            if wp.static(count > 2):
+                lost += lost_at(q, c)
         return force, moment, lost
 
-    return pull, pulled
+    return SimpleNamespace(pull=pull, part_pull=part_pull, pulled=pulled)
 
 
 @functools.cache
@@ -129,7 +182,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     sphere_touch = contact_functions(scalar).sphere_touch
     xyz = vector_functions(scalar).xyz
     read_int = row_functions(scalar).read_int
-    pull, _ = pull_functions(scalar)
+    part_pull = pull_functions(scalar, pull_rows(bonds, rolls, dissipation)).part_pull
     mark = mark_function(scalar)
 
     @wp.func
@@ -165,9 +218,9 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     @wp.func
     def looks(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
-        p: wp.int32, s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
+        s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ) -> wp.bool:  # fmt: skip
-        i, j, k, twin = ends[0], ends[1], ends[2], ends[3]
+        i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
         close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
         held_apart = wp.bool(False)
@@ -180,19 +233,19 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         state = read_int(links.touched, p)
         if (close and state != 1) or (not close and state != 0):
             lost = scalar(0.0)
+            row = scenes.row[s].pairs
+            twin = row + links.link[p][3]
             if not close and state == 1 and not held_apart:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             after = wp.where(close, 1, 0)
             if lost > scalar(0.0):
                 after = 2  # its rows count once more
             else:
-                row = scenes.row[s].pairs
                 mark(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark(spheres, links, j, twin - row - pairs.start[j + s], close)
             links.touched[p] = after
             if not close:
-                pull(links, k, t.vec3(), t.vec3(), lost)
-                pull(links, twin, t.vec3(), t.vec3(), scalar(0.0))
+                part_pull(links, p, lost)
         return close
 
     return looks
@@ -216,14 +269,14 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     rows = row_functions(scalar)
     read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
-    pull, _ = pull_functions(scalar)
+    pull = pull_functions(scalar, pull_rows(bonds, rolls, dissipation)).pull
 
     @wp.func
     def evaluate(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
-        i, j, k, twin = ends[0], ends[1], ends[2], ends[3]
+        i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
         spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
         material = read_int(spheres.material, i)
@@ -249,9 +302,9 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             )
             if wp.static(healing):
                 if kind == UNBONDED:
-                    pairs.bond[twin] = pairs.bond[k]
+                    pairs.bond[scenes.row[s].pairs + links.link[p][3]] = pairs.bond[k]
             if outcome < 0:
-                pairs.bond[twin] = outcome
+                pairs.bond[scenes.row[s].pairs + links.link[p][3]] = outcome
                 if outcome == BROKEN_IN_TENSION:
                     wp.atomic_add(spheres.broken, i, wp.vec2i(1, 0))
                 else:
@@ -265,23 +318,21 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             bond_moment = bond_moment + held_back
             lost += lost_rolling
         turn = wp.cross(pair.touch.normal, total)
-        pull(links, k, total, pair.arm_i * turn + bond_moment, lost)
-        pull(links, twin, -total, pair.arm_j * turn - bond_moment, scalar(0.0))
+        pull(links, p, total, pair.arm_i, turn, pair.arm_j, bond_moment, lost)
 
     return evaluate
 
 
 @functools.cache
-def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, width: int):
+def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
     """Kernel over spheres, in whole warps of `width` threads (1 on a CPU): force and moment of each by planes and
-    pipes, to which meshes add theirs."""
+    pipes, where it meets some. Meshes add theirs; what moves bodies takes them away."""
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
     surface = analytic_wall_functions(scalar, law, False, dissipation, wear)
     Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
     anywhere = warp_functions(scalar, width).anywhere
-    t = types(scalar)
     rows = row_functions(scalar)
     read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
 
@@ -302,24 +353,18 @@ def surface_kernel(scalar, law, analytic: bool, dissipation: bool, wear: bool, w
         i = wp.min(wp.tid(), last - 1)
         s = spheres.scene[i]
         here = wp.tid() < last and flags[s, HALTED] == 0
-        far = wp.bool(True)
-        near = wp.bool(False)
-        if wp.static(analytic):
-            far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
-            near = here and (not far or scenes.row[s].still == 0)
-        force = t.vec3()
-        moment = t.vec3()
+        far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
+        near = here and (not far or scenes.row[s].still == 0)
         if anywhere(near):
             force, moment, lost = on_walls(
                 i, scenes.row[s], near, far, wp.tid() % width, scalar(scenes.clock[s, DT_PREVIOUS]),
                 scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
             )  # fmt: skip
-            if wp.static(dissipation):
-                if near:
+            if near:
+                if wp.static(dissipation):
                     spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
-        if here:
-            write_vec3(spheres.force, i, force)
-            write_vec3(spheres.moment, i, moment)
+                write_vec3(spheres.force, i, force)
+                write_vec3(spheres.moment, i, moment)
 
     return surface_contacts
 
@@ -361,24 +406,22 @@ def link_kernel(
         if links.near_count[1] != 0:
             count += links.link.shape[0]
         for q in range(wp.tid(), count, threads):
-            p, s = wp.int32(0), wp.int32(0)
-            ends = wp.vec4i(-1, -1, -1, -1)
+            ends = wp.vec4i(0, 0, 0, 0)
             if q < near:
                 ends = links.near[q]
-                p, s = links.near_link[q][0], links.near_link[q][1]
             else:
                 p = q - near
-                s = links.scene[p]
-            if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
-                continue
-            if q >= near:
                 link = links.link[p]
                 if link[0] < 0:
                     continue
-                first, row = scenes.row[s].spheres, scenes.row[s].pairs
-                ends = wp.vec4i(first + link[0], first + link[1], row + link[2], row + link[3])
+                first, row = scenes.row[links.scene[p]].spheres, scenes.row[links.scene[p]].pairs
+                ends = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
+            s = spheres.scene[ends[0]]
+            # Asked for before it is known whether they are wanted: nobody waits for the one and then for the other.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
-            if looks(scenes, spheres, pairs, links, pair_parameters, p, s, ends, position_i, position_j):
+            if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
+                continue
+            if looks(scenes, spheres, pairs, links, pair_parameters, s, ends, position_i, position_j):
                 evaluate(
                     scenes, spheres, pairs, links, pair_parameters, bond_parameters, s, ends, position_i, position_j
                 )

@@ -152,6 +152,26 @@ def motion_functions(scalar, dissipation: bool):
 
 
 @functools.cache
+def taking_function(scalar, half: bool):
+    """`take_away`: clears for the next step what a sphere has met, that is force and moment as they were read. On a GPU
+    only walls leave some, and most spheres meet none."""
+    t = types(scalar)
+    Spheres = array_structs(scalar).Spheres
+    write_vec3 = row_functions(scalar).write_vec3
+
+    @wp.func
+    def take_away(spheres: Spheres, i: wp.int32, force: t.vec3, moment: t.vec3):
+        met = wp.bool(True)
+        if wp.static(not half):
+            met = wp.length_sq(force) + wp.length_sq(moment) > scalar(0.0)
+        if met:
+            write_vec3(spheres.force, i, t.vec3())
+            write_vec3(spheres.moment, i, t.vec3())
+
+    return take_away
+
+
+@functools.cache
 def placing_function(scalar, meshes: bool, half: bool):
     """`place_sphere`: writes where a sphere has got to, and notes where lists may miss a contact in the next step."""
     t = types(scalar)
@@ -179,11 +199,13 @@ def placing_function(scalar, meshes: bool, half: bool):
 
 
 @functools.cache
-def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool):
+def sphere_kernel(
+    scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
+):
     """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
 
-    The same step as `clump_kernel`, and of full lists the sums of `links`. What bodies hold besides is written by
-    `sync_kernel`, when somebody looks.
+    The same step as `clump_kernel`, and of full lists the sums of `links`, of which each gives so many `rows`. What
+    bodies hold besides is written by `sync_kernel`, when somebody looks.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -195,10 +217,11 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
     place_sphere = placing_function(scalar, meshes, half)
-    rows = row_functions(scalar)
-    read_vec3, read_vec4, write_vec3, write_vec4 = rows.read_vec3, rows.read_vec4, rows.write_vec3, rows.write_vec4
+    each = row_functions(scalar)
+    read_vec3, read_vec4, write_vec3, write_vec4 = each.read_vec3, each.read_vec4, each.write_vec3, each.write_vec4
     Links = links_struct(scalar)
-    _, pulled = pull_functions(scalar)
+    pulled = pull_functions(scalar, rows).pulled
+    take_away = taking_function(scalar, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
@@ -233,10 +256,12 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
             mass = before[3]
             velocity = xyz(before)
             total = read_vec3(spheres.force, i)
+            torque = t.vec3()
+            if wp.static(rotation):
+                torque = read_vec3(spheres.moment, i)
+            take_away(spheres, i, total, torque)
             by_links = t.vec3()
-            if wp.static(half):
-                write_vec3(spheres.force, i, t.vec3())
-            else:
+            if wp.static(not half):
                 push, by_links, taken = pulled(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
                 total += push
                 if wp.static(dissipation):
@@ -256,17 +281,12 @@ def sphere_kernel(scalar, drives: bool, growth: bool, meshes: bool, rotation: bo
 
             if wp.static(rotation):
                 spin = xyz(read_vec4(spheres.spin, i))
-                torque = read_vec3(spheres.moment, i) + by_links
-                torque, lost_turning = damped(torque, spin, damping, kick)
-                if wp.static(half):
-                    write_vec3(spheres.moment, i, t.vec3())
+                torque, lost_turning = damped(torque + by_links, spin, damping, kick)
                 inertia = scalar(0.4) * mass * radius * radius
                 if wp.static(growth):
                     inertia = scalar(0.4) * mass * spheres.offset[i][3] * spheres.offset[i][3]
                 write_vec4(spheres.spin, i, pack(spin + torque * (kick / inertia), scalar(0.0)))
                 lost += lost_turning
-            elif wp.static(half):
-                write_vec3(spheres.moment, i, t.vec3())
             if wp.static(dissipation):
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
             if wp.static(growth):

@@ -92,7 +92,6 @@ def near_kernels(scalar, bonds: bool) -> SimpleNamespace:
                 near = near or pairs.bond[row + link[2]] != 0
         place = take_place(links.near_count, near)
         if near:
-            links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], row + link[3])
-            links.near_link[place] = wp.vec2i(p, s)
+            links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
 
     return SimpleNamespace(see_spheres=see_spheres, choose_near=choose_near)

@@ -183,10 +183,11 @@ def links_struct(scalar):
         scene: wp.array(dtype=wp.int32)  # number in the batch, shape (links,) as the rest
         touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
         more: wp.array(dtype=wp.int32)  # as `touching` of spheres, of the entries after those, MORE for each sphere
-        pull: wp.array(dtype=t.vec4)  # of each entry of the lists, two rows: force on its sphere [N], moment about its
-        # centre [N m] (the first component ends the first row), and, not of twins, energy lost in this step [J]
-        near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres, entry and twin, from the batch's first
-        near_link: wp.array(dtype=wp.vec2i)  # its link, and its scene
+        end: wp.array(dtype=wp.int32)  # of each entry of the lists: its link p from the scene's first, of twins -1 - p
+        pull: wp.array(dtype=t.vec4)  # rows of what a link gave in this step: force on its lower sphere [N], the arm of
+        # that [m]; the contact's moment over the arm [N], the arm of the other; and, if there is a third, the moment
+        # of bond and rolling on the lower [N m], lost energy [J]
+        near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres and entry, from the batch's first, and link
         near_count: wp.array(dtype=wp.int32)  # how many they are, and whether some scene's no longer do, shape (2,)
         outrun: wp.array(dtype=wp.int32)  # 1: near links of the scene may miss a contact, shape (scenes,)
         seen: wp.array(dtype=t.vec4)  # position and radius when near links were chosen [m], shape (spheres,)

@@ -17,6 +17,8 @@ class Exchange:
     def __init__(self, device: Any) -> None:
         self.device = device
         self._kept: dict[Any, tuple[wp.array, np.ndarray]] = {}
+        self._asked: tuple[wp.array, ...] = ()
+        self._answered = wp.Event(device) if device.is_cuda else None
         self._under_way: set[Any] = set()  # what was written and may not have left its buffer yet
 
     def read(self, *arrays: wp.array) -> list[np.ndarray]:
@@ -28,6 +30,26 @@ class Exchange:
             wp.copy(buffer, array)
         self._wait()
         return [view.copy() for _, view in beside]
+
+    def ask(self, *arrays: wp.array) -> None:
+        """Begin a read, with no other on the way: the host goes on until it wants the :meth:`answer`."""
+        self._asked = arrays
+        if self.device.is_cuda:
+            for array in arrays:
+                wp.copy(self._beside("asked", array)[0], array)
+            self._answered = self.device.stream.record_event(self._answered)
+
+    @property
+    def answered(self) -> bool:
+        """Whether what was asked for is there."""
+        return not self.device.is_cuda or self._answered.is_complete
+
+    def answer(self) -> list[np.ndarray]:
+        """Copies of the arrays that were asked for, as they were then."""
+        if not self.device.is_cuda:
+            return [array.numpy().copy() for array in self._asked]
+        wp.synchronize_event(self._answered)
+        return [self._beside("asked", array)[1].copy() for array in self._asked]
 
     def write(self, array: wp.array, values: np.ndarray) -> None:
         """Set an array after all that was launched so far."""

@@ -134,6 +134,7 @@ class Batch:
         self._walls: np.ndarray | None = None
         self._wall_reading: Stage | None = None
         self._unsent = self._row_unsent = False
+        self._launched = 0, 0  # steps of the first scene before, and how many were launched
         self._step: list[list[Any]] | None = None
         self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
@@ -279,8 +280,8 @@ class Batch:
         grown = wanted > capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # What the pairs of a GPU give has two rows an entry.
-        most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
+        # What a GPU's links give, each two entries, has three rows at most.
+        most = 2 * MAXIMUM_ENTRIES // 3 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
         for name in names:
@@ -419,8 +420,8 @@ class Batch:
         self._walls = None
         self._unsent = self._row_unsent = False
 
-    def launch(self) -> np.ndarray:
-        """Launch steps until some scene needs looking after; returns a copy of all flags."""
+    def launch(self) -> None:
+        """Launch steps until some scene needs looking after; a GPU takes them while Python goes on."""
         before = int(self.host_flags()[0, int(STEPS)])
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         self.device_changed()
@@ -438,8 +439,21 @@ class Batch:
         finally:  # an interruption leaves bodies where their spheres are
             for stage in self.sync_stages():
                 stage()
+        self._launched = before, sum(pieces)
+        self.exchange.ask(self.flags, self.scenes.clock)
+
+    @property
+    def settled(self) -> bool:
+        """Whether all that was launched is done."""
+        return self.exchange.answered
+
+    def settle(self) -> np.ndarray:
+        """Wait for what was launched; returns a copy of all flags."""
+        if self.parallel:
+            self._flags, self._clock = self.exchange.answer()
         flags = self.host_flags().copy()
-        self.ahead.stepped(int(flags[0, int(STEPS)]) - before, sum(pieces))
+        before, launched = self._launched
+        self.ahead.stepped(int(flags[0, int(STEPS)]) - before, launched)
         return flags
 
     def _alone(self) -> Step:

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.dem.linking import MORE
+from ..kernels.dem.links import pull_rows
 from ..kernels.dem.structs import links_struct
 from .state import PAIR_ARRAYS, State
 
@@ -23,13 +24,19 @@ def even_pairs(states: list[State]) -> None:
                 setattr(state.pairs, name, even)
 
 
+def rows_of(features: Any) -> int:
+    """Rows of four numbers that a link gives in a scene with these features."""
+    return pull_rows(features.bonds, features.pair_law.rolls, features.dissipation)
+
+
 def make_links(batch: Any) -> Any:
     """Links with as much room as the lists of a :class:`Batch` have; no pair is known yet. A CPU has none."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
     few["more"] = int(MORE) * batch.sphere_count
-    sizes = {"pull": 2 * lists, **(few if batch.parallel else dict.fromkeys(few, 0))}
+    sizes = {"pull": rows_of(batch.features) * lists // 2, "end": lists}
+    sizes |= few if batch.parallel else dict.fromkeys(few, 0)
     links = struct()
     for name, variable in struct.vars.items():
         made = wp.zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
@@ -46,7 +53,7 @@ def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) 
     """Copy the pairs of each scene to where they are in lists of more room; `old` and `capacity` are entries each."""
     wp.copy(links.more, before.more)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name in ("link", "touched"):
+    for name, entries in (("link", 1), ("touched", 1), ("end", 2)):  # of each
         target, source = getattr(links, name), getattr(before, name)
         for s in np.flatnonzero(old):
-            wp.copy(target, source, int(first[s]), int(behind[s]), int(old[s]) // 2)
+            wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

@@ -12,6 +12,7 @@ from ..core.errors import CapacityError
 from ..kernels.dem.linking import MORE
 from ..kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
 from .bodies import BodyTable
+from .links import rows_of
 from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
@@ -43,9 +44,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         listing += 4 * listed + 4  # what a search finds, and where
     else:
         listing += 4 * MOST_KEPT  # what a search finds
-        # Links, each two entries of a list: the pair, its scene and state, the same again where near; what it gives
-        # at both; where a sphere was when near ones were chosen, and bits of what touches it.
-        listing += listed * (24 + 8 * scalar) + 4 * scalar + 4 * int(MORE)
+        # Links, each two entries of a list: the pair, its scene and state, the pair again where near; its place at both
+        # entries; what it gives; where a sphere was when near ones were chosen, and bits of what touches it.
+        listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(MORE)
     if model.features.subcycling and model.scene.hydration is not None:
         # Three pairs a sphere at most, as many of them stiff as are hydrated; bodies that have some.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar

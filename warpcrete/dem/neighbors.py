@@ -21,6 +21,7 @@ from ..kernels.dem.search import full_search_kernels, half_search_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
 from .batch import MAXIMUM_ENTRIES, Batch
 from .cells import Cells
+from .links import rows_of
 from .stages import MANY, near_stages, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
 
@@ -349,7 +350,7 @@ class NeighborLists:
             clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
         )  # fmt: skip
         if not f.half_list:
-            linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, OCTANTS)
+            linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, rows_of(f), OCTANTS)
             launches.links = [
                 b.stage(linking.clear_links, len(b.links.link), block=block_size(n)),
                 b.stage(linking.count_own, n, count=self._count),

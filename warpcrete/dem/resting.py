@@ -60,7 +60,14 @@ class Structure:
 
     def grow(self, s: int, begun: float) -> None:
         """Let the layer of a scene have what it gained at rest, less what slip since a travel of `begun` [m] took."""
-        self._gained[s], self._begun[s] = self.batch.models[s].scene.rest.layer_gained, begun
+        self._set(s, self.batch.models[s].scene.rest.layer_gained, begun)
+
+    def take(self, s: int, other: Structure, index: int) -> None:
+        """Go on with the layer that scene `index` of another batch has."""
+        self._set(s, other._gained[index], other._begun[index])
+
+    def _set(self, s: int, gained: float, begun: float) -> None:
+        self._gained[s], self._begun[s] = gained, begun
         self._device_gained.assign(self._gained)
         self._device_begun.assign(self._begun)
         self.stage()()

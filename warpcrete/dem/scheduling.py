@@ -5,16 +5,24 @@ This is the only place that knows how coroutines of runs, packings and single st
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..core.errors import CapacityError
 from ..core.interrupts import put_off
 from ..core.run_loop import Coroutine
 from ..kernels.common.control import STALE
+from .regrouping import Regrouping
 from .stages import step_stages
+
+BETWEEN_LOOKS = 50e-6
+"""Of the host at batches of which none has done its steps [s]."""
 
 
 @dataclass(frozen=True)
@@ -57,61 +65,143 @@ class _Scene:
             self.result = failure
 
 
+class _Drive:
+    """Scenes of one batch on their way, launch by launch."""
+
+    def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any) -> None:
+        self._members = {s: _Scene(*pair) for s, pair in scenes.items()}
+        self._stream = stream
+        self._regroup = Regrouping()
+        self.stop: KeyboardInterrupt | None = None
+
+    @property
+    def waiting(self) -> list[_Scene]:
+        """Scenes that want to be somewhere, in the order of their places in the batch."""
+        return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
+
+    @property
+    def results(self) -> dict[int, Any]:
+        """What each coroutine returned or raised, by the number that it came with."""
+        return {s: member.result for s, member in self._members.items()}
+
+    @property
+    def _batch(self) -> Any:
+        return self.waiting[0].stepper.batch
+
+    @property
+    def settled(self) -> bool:
+        """Whether the device has done what was launched."""
+        return self._batch.settled
+
+    def begin(self) -> None:
+        """All coroutines up to where they want to go first."""
+        with self._on_stream():
+            for member in self._members.values():
+                self._go_on(member, self.stop)
+
+    def launch(self) -> None:
+        """Launch the next steps."""
+        self._do(self._launch)
+
+    def look(self) -> None:
+        """See what came of them, as soon as they are done, and let scenes go on that are where they wanted to be."""
+        self._do(self._look)
+
+    def interrupt(self, stop: KeyboardInterrupt) -> None:
+        """Raise an interruption inside every coroutine that waits."""
+        self.stop = stop
+        self._do(lambda: None)
+
+    def _on_stream(self) -> AbstractContextManager:
+        return nullcontext() if self._stream is None else wp.ScopedStream(self._stream, sync_enter=False)
+
+    def _go_on(self, member: _Scene, error: BaseException | None = None) -> None:
+        member.go_on(error)
+        if not member.waiting:
+            if isinstance(member.result, KeyboardInterrupt):
+                self.stop = member.result
+            elif getattr(member.result, "interrupted", False):
+                self.stop = self.stop or KeyboardInterrupt()
+
+    def _do(self, what: Callable[[], None]) -> None:
+        with self._on_stream():
+            try:
+                if self.stop is None and self.waiting:
+                    what()
+            except KeyboardInterrupt as interruption:
+                self.stop = interruption
+            except CapacityError as full:  # of the lists, which all scenes share
+                for member in self.waiting:
+                    self._go_on(member, full)
+            if self.stop is not None:
+                for member in self.waiting:
+                    self._go_on(member, self.stop)
+
+    def _launch(self) -> None:
+        self._regroup([member.stepper for member in self.waiting])
+        batch, stepper = self._batch, self.waiting[0].stepper
+        if not batch.has_step:
+            batch.use_step(step_stages(batch), stepper.stable_step.by_device() if batch.parallel else None)
+        batch.launch()
+
+    def _look(self) -> None:
+        waiting, stepper = self.waiting, self.waiting[0].stepper
+        flags = self._batch.settle()
+        for member in waiting:
+            if (error := member.stepper.trouble(flags[member.stepper.index])) is not None:
+                self._go_on(member, error)
+        if np.any(flags[:, int(STALE)]):
+            with put_off():
+                stepper.lists()
+        ready = [m for m in waiting if m.waiting and m.stepper.reached(flags[m.stepper.index])]
+        estimate = stepper.stable_step
+        try:
+            estimate.foresee([m.stepper.index for m in ready if m.stepper.wants_estimate()])
+            for member in ready:
+                self._go_on(member, self.stop)
+        finally:
+            estimate.forget()
+
+
 def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
     """Drive the coroutines of scenes of one batch, each with its stepper, to their ends, by scene number.
 
     Returns what each returned or raised. An interruption (Ctrl-C), wherever it falls, is raised inside every coroutine
     that waits.
     """
-    members = {s: _Scene(*pair) for s, pair in scenes.items()}
+    (results,) = drive_abreast([(scenes, None)])
+    return results
+
+
+def drive_abreast(groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]]) -> list[dict[int, Any]]:
+    """:func:`drive` for several batches, each with the stream that a GPU has for it (None: its own): while some take
+    their steps, Python looks after others."""
+    drives = [_Drive(*group) for group in groups]
     stop: KeyboardInterrupt | None = None
+    launched: list[_Drive] = []
 
-    def go_on(s: int, error: BaseException | None = None) -> None:
+    def each(act: Callable[[_Drive], None], members: Iterable[_Drive]) -> None:
         nonlocal stop
-        scene = members[s]
-        scene.go_on(error)
-        if not scene.waiting:
-            if isinstance(scene.result, KeyboardInterrupt):
-                stop = scene.result
-            elif getattr(scene.result, "interrupted", False):
-                stop = stop or KeyboardInterrupt()
+        for one in members:
+            act(one)
+            stop = stop or one.stop
 
-    for s in members:
-        go_on(s, stop)
-    while waiting := sorted(s for s, scene in members.items() if scene.waiting):
-        lists = members[waiting[0]].stepper.lists
+    each(_Drive.begin, drives)
+    while under_way := [one for one in drives if one.waiting]:
         try:
-            if stop is None:
-                if not lists.batch.has_step:
-                    estimate = members[waiting[0]].stepper.stable_step
-                    between = estimate.by_device() if lists.batch.parallel else None
-                    lists.batch.use_step(step_stages(lists.batch), between)
-                flags = lists.batch.launch()
-                for s in waiting:
-                    if (error := members[s].stepper.trouble(flags[s])) is not None:
-                        go_on(s, error)
-                if np.any(flags[:, int(STALE)]):
-                    with put_off():
-                        lists()
-                ready = [s for s in waiting if members[s].waiting and members[s].stepper.reached(flags[s])]
-                estimate = members[waiting[0]].stepper.stable_step
-                try:
-                    estimate.foresee([s for s in ready if members[s].stepper.wants_estimate()])
-                    for s in ready:
-                        go_on(s, stop)
-                finally:
-                    estimate.forget()
+            if stop is not None:
+                each(lambda one: one.interrupt(stop), under_way)
+                continue
+            each(_Drive.launch, [one for one in under_way if one not in launched])
+            launched = [one for one in under_way if one.waiting]
+            ready = [one for one in launched if len(launched) == 1 or one.settled]
+            if not ready:
+                time.sleep(BETWEEN_LOOKS)
+            each(_Drive.look, ready)
+            launched = [one for one in launched if one not in ready]
         except KeyboardInterrupt as interruption:
             stop = interruption
-        except CapacityError as full:  # of the lists, which all scenes share
-            for s in waiting:
-                if members[s].waiting:
-                    go_on(s, full)
-        if stop is not None:
-            for s in waiting:
-                if members[s].waiting:
-                    go_on(s, stop)
-    return {s: scene.result for s, scene in members.items()}
+    return [one.results for one in drives]
 
 
 def drive_one(stepper: Any, coroutine: Coroutine) -> Any:

@@ -18,6 +18,7 @@ from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
 from ..kernels.dem.wall_motion import advance_kernel
 from .batch import Batch
+from .links import rows_of
 
 MANY = 200_000
 """Spheres from which on a thread each keeps a GPU busy while lists are built."""
@@ -83,8 +84,8 @@ def _full_step(batch: Batch) -> list[Stage]:
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
     stages = near_stages(b)
-    if f.walls:
-        surfaces = surface_kernel(b.scalar, f.wall_law, f.analytic, f.dissipation, f.wear, width)
+    if f.analytic:
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
         stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
@@ -129,14 +130,17 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
     """Motion of a chunk of bodies, when all forces are there."""
     b, f = batch, batch.features
     named: dict[str, Any] = {"first": first, "last": last}
+    rows = 0 if f.half_list else rows_of(f)
     count = tasks(b, last - first)
     if f.clumps:
         width = warp_width(b.device)
-        kernel = clump_kernel(b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, width)
+        kernel = clump_kernel(
+            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
+        )
         bits = LANE_BITS if width > 1 and b.sphere_count < MANY else 0
         if not f.half_list:
             count = -(-(count << bits) // width) * width
         named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
-        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation)
+        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
     return b.stage(kernel, count, meets=True, **named)

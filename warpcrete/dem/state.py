@@ -218,6 +218,13 @@ class State:
         self.batch, self.index = batch, index
         self._launches = -1, {}
 
+    def leave(self) -> None:
+        """Hold copies of the arrays that a batch has, to be taken into another."""
+        for struct, name, array in list(self.arrays()):
+            setattr(getattr(self, struct), name, wp.clone(array))
+        self.flags = wp.clone(self.flags)
+        self.batch = None
+
     def launches(self, version: int) -> dict[str, Any]:
         """Recorded launches of probes by name, for arrays of this version of the batch's."""
         if self._launches[0] != version:

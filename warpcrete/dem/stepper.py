@@ -65,35 +65,48 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        self.lists, self.stable_step, self.index = among
-        self.batch = self.lists.batch
+        self.running = False  # until then an unstable fixed step is bad input, later an instability
+        self._skin = skin
+        self._estimated = self._counting = False
+        self._foreseen = -1.0, 0.0
+        self.join(*among, sort_every=sort_every, resumed=resumed)
+
+    def join(
+        self,
+        lists: NeighborLists,
+        stable_step: StableStep,
+        index: int,
+        *,
+        sort_every: int = 20,
+        resumed: dict[str, Any] | None = None,
+    ) -> None:
+        """Be number `index` of the batch that has these; a `state_dict` says where it goes on from."""
+        self.lists, self.stable_step, self.index = lists, stable_step, index
+        self.batch, state = lists.batch, self.state
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
-        self.skin = SKIN[kind] * state.mean_radius if skin is None else skin
+        self.skin = SKIN[kind] * state.mean_radius if self._skin is None else self._skin
         if resumed is not None:
             self.skin = resumed["skin"]
-        moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in model.walls)
+        moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in self.model.walls)
         self.mesh_skin = MESH_SKIN * self.skin
-        self.lists.sort_every[self.index] = sort_every
+        self.lists.sort_every[index] = sort_every
         self.batch.set(
-            self.index,
+            index,
             skin=self.skin,
             mesh_skin=self.mesh_skin,
             # What spheres and moving meshes may go between two builds adds up to the skin.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
-        self._estimated = self._counting = False
-        self._foreseen = -1.0, 0.0
-        self.running = False  # until then an unstable fixed step is bad input, later an instability
         if resumed is not None:
-            self.lists.builds[self.index] = resumed["builds"]
+            self.lists.builds[index] = resumed["builds"]
             if math.isfinite(resumed["since_estimate"]):
                 self._estimated = True
-                self.batch.estimated(self.index, self.steps - int(resumed["since_estimate"]))
-            self.batch.subcycles.load_state_dict(self.index, resumed["subcycles"])
-        if resumed is None or self.index in self.batch.rechunked:
+                self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
+            self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
+        if resumed is None or index in self.batch.rechunked:
             self.rebuild()
         else:
-            self.lists.link(self.index)
+            self.lists.link(index)
 
     def state_dict(self) -> dict[str, Any]:
         """What a stepper needs, besides the state, to go on as this one would."""
