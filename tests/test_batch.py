@@ -10,9 +10,10 @@ import warp as wp
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run_loop import Recorder, Run
+from warpcrete.dem import regrouping
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.memory import check_memory, memory_needed
@@ -155,6 +156,22 @@ def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
         assert one.run().result["state_hash"] == other.result["state_hash"]
 
 
+def test_checkpoints_of_a_batch_go_on_alone(device, tmp_path):
+    """Also of one that is not the first: whatever counts over all scenes of a batch must not stand in it."""
+    some = [dataclasses.replace(mixed_scene(seed), duration=0.04) for seed in (0, 1)]
+    paths = [tmp_path / f"{seed}.npz" for seed in (0, 1)]
+    together = [
+        Simulation(scene, device=device, threads=1, checkpoint_path=path, checkpoint_every=0.0)
+        for scene, path in zip(some, paths)
+    ]
+    together[0].recorders.append(Interrupted())
+    assert not any(run.finished for run in run_batch(together))
+    for scene, path in zip(some, paths):
+        one = Simulation(scene, device=device, threads=1)
+        one.resume(path)
+        assert one.run().result["state_hash"] == alone(device, [scene])[0].result["state_hash"]
+
+
 def allotted() -> dict[int, int]:
     """Bytes of every array that owns its memory, by address."""
     gc.collect()
@@ -174,3 +191,42 @@ def test_the_estimate_of_memory_is_what_is_allotted(device, precision, bonds):
     simulation.measure()
     taken = sum(size for address, size in allotted().items() if address not in before)
     assert taken < memory_needed(simulation.model, simulation.state.table()) < 1.4 * taken
+
+
+def mixed(part):
+    return dataclasses.replace(mixed_scene(part), duration=0.01 + 0.01 * part)
+
+
+def hydrated(part):
+    return scenes.pipe(hydration=0.2, hydration_modulus=1e8, velocity=0.9 - 0.3 * part, **SMALL)
+
+
+def rested(part):
+    stopping = SMALL | dict(settle=0.05, ramp=5e-3, travel=0.04, strokes=2, pause=0.06)
+    return scenes.pipe(rest=600.0, velocity=0.9 - 0.3 * part, **stopping)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("scene", [mixed, hydrated, rested])
+def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, monkeypatch):
+    """When most scenes have ended; friction, bonds, meshes, driven walls; bonds in rounds; a layer that is worn."""
+    counts = []
+    regroup = regrouping.regroup
+
+    def noted(steppers):
+        counts.append((steppers[0].batch.count, len(steppers)))
+        regroup(steppers)
+        assert {stepper.batch.count for stepper in steppers} == {len(steppers)}
+
+    monkeypatch.setattr(regrouping, "regroup", noted)
+    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    some = [scene(part) for part in (0, 1, 2)]
+    with share_out_like_a_gpu():
+        batched = run_batch(simulate("cpu", some))
+        assert counts == [(3, 1)]
+        for one, other in zip(alone("cpu", some), batched):
+            assert isinstance(other, Run) and other.finished
+            assert one.result["state_hash"] == other.result["state_hash"]
+            assert one.result["steps"] == other.result["steps"]
+            for name in one.series:
+                assert np.array_equal(one.series[name], other.series[name], equal_nan=True), name

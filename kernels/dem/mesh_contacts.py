@@ -285,7 +285,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
             gaps = parts.Values()
             owners = Owners()
             for k in range(begin, end):
-                face = candidates.face[k]
+                face = scenes.row[scene].faces + candidates.face[k]
                 w = face_wall[face]
                 local = wp.quat_rotate_inv(wall_orientation[w], x - wall_position[w])
                 nearest, feature = parts.closest_on_face(local, face, corners, faces)
@@ -401,7 +401,7 @@ def candidate_kernels(scalar):
                     point, feature = closest_on_face(local, face, corners, faces)
                     if wp.length(local - point) <= reach:
                         if wp.static(fill):
-                            candidates.face[place + found] = face
+                            candidates.face[place + found] = face - scenes.row[s].faces
                         found += 1
             if not wp.static(fill):
                 count[i + s] = found

@@ -1,9 +1,9 @@
 """The arrays that kernels of discrete elements work on, as structs: scenes, bodies, spheres, slots, pairs, walls.
 
 Arrays are flat over all scenes of a batch. Indices that an array holds (`bodies.first`, `spheres.body`, entries of
-`pairs.other`, `slots.wall`) count from the scene's first row, so a scene alone and in a batch holds the same numbers.
-Faces, corners and axis segments, which no state holds, count over the whole batch. What the features of a scene do not
-need has no rows.
+`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene alone and in a batch holds
+the same numbers. Those of a mesh's tables and of axes, which no state holds, count over the whole batch. What the
+features of a scene do not need has no rows.
 
 Beside them stands `flags`, an array of the slots of `common.control`, shape (scenes, FLAGS), no member of `Scenes`.
 """
@@ -55,6 +55,7 @@ def scene_struct(scalar):
         sphere_count: wp.int32
         pairs: wp.int32
         candidates: wp.int32
+        faces: wp.int32
         walls: wp.int32
         wall_count: wp.int32
         analytic: wp.int32  # planes and pipes, which come first
@@ -142,7 +143,7 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Candidates:
         start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
-        face: wp.array(dtype=wp.int32)  # triangles within reach of it, shape (candidates,)
+        face: wp.array(dtype=wp.int32)  # triangles within reach of it, from the scene's first, shape (candidates,)
 
     @wp.struct
     class Walls:

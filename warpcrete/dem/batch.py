@@ -187,6 +187,7 @@ class Batch:
             table = model.wall_table.numpy().copy()[: len(model.walls)]
             table["first"] += first_segment[s]
             table["last"] += first_segment[s]
+            self.rows["faces"][s] = surfaces.face_count
             for w, wall in enumerate(model.walls):
                 if isinstance(wall, MeshWall):
                     assert table["kind"][w] == int(MESH)

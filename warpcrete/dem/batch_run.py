@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import warp as wp
+
 from ..core.device import MEMORY_FRACTION, memory_free, parallel
 from ..core.errors import WarpcreteError
 from ..core.launching import telling
@@ -16,7 +18,7 @@ from .batch import batch_key
 from .bodies import BodyTable, placed_bodies
 from .memory import memory_needed
 from .packing import Request, pack_many
-from .scheduling import drive
+from .scheduling import drive_abreast
 from .simulation import ElementSimulation
 from .stepper import Stepper, steppers_of
 
@@ -61,17 +63,23 @@ def _run_batch(
                 continue
         groups.setdefault((batch_key(simulation.model), simulation.threads), []).append(number)
     parts = [part for numbers in groups.values() for part in _fitting(simulations, placed, numbers)]
-    for done, numbers in enumerate(parts):
-        part = _Part(simulations, checkpoints, placed, outcomes)
+    turns = _abreast(simulations, parts)
+    for done, turn in enumerate(turns):
+        members = [_Part(simulations, checkpoints, placed, outcomes, len(turn) > 1) for _ in turn]
         try:
-            part.run(numbers)
+            for part, numbers in zip(members, turn):
+                part.begin(numbers)
+            begun = [part for part in members if part.scenes]
+            for part, results in zip(begun, drive_abreast([(part.scenes, part.stream) for part in begun])):
+                part.end(results)
         except KeyboardInterrupt:
             break
-        tell("running", (done + 1) / len(parts))
-        if part.stopped:
+        tell("running", (done + 1) / len(turns))
+        if any(part.stopped for part in members):
             break
-        if done + 1 < len(parts):
-            part.release()  # the next part needs the memory
+        if done + 1 < len(turns):
+            for part in members:
+                part.release()  # the next ones need the memory
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
@@ -84,16 +92,29 @@ class _Part:
         checkpoints: Sequence[Path | None],
         placed: dict[int, tuple[Any, float]],
         outcomes: dict[int, Outcome],
+        beside_others: bool,
     ) -> None:
         self.simulations, self.checkpoints, self.placed = simulations, checkpoints, placed
         self.outcomes = outcomes
         self.resumed: dict[int, dict[str, Any]] = {}
         self.stopped = False
         """Some run was interrupted."""
+        self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
+        """By number, what :func:`drive` takes to their ends."""
+        self.stream = None
+        """Of a GPU, while others run beside."""
+        self._beside_others = beside_others
         self._members: list[ElementSimulation] = []
 
-    def run(self, numbers: Sequence[int]) -> None:
-        """Run them to their ends, into `outcomes`."""
+    def begin(self, numbers: Sequence[int]) -> None:
+        """Make their batch; what is wrong with one is its outcome."""
+        device = self.simulations[numbers[0]].device
+        if self._beside_others and device.is_cuda:
+            self.stream = wp.Stream(device)
+        with wp.ScopedStream(self.stream):
+            self._begin(numbers)
+
+    def _begin(self, numbers: Sequence[int]) -> None:
         running = [number for number in numbers if self._restore_or_place(number)]
         self._members = [self.simulations[number] for number in running]
         if not running:
@@ -104,12 +125,13 @@ class _Part:
             self.outcomes |= dict.fromkeys(running, error)
             self._members = []
             return
-        scenes = {}
         for number, stepper in zip(running, steppers):
             self.simulations[number].join(stepper)
-            scenes[stepper.index] = (stepper, self._whole_run(number))
-        results = drive(scenes)
-        self.outcomes |= {number: results[stepper.index] for number, stepper in zip(running, steppers)}
+            self.scenes[number] = (stepper, self._whole_run(number))
+
+    def end(self, results: dict[int, Outcome]) -> None:
+        """Take what came of them."""
+        self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()
         )
@@ -184,21 +206,35 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 
 def _fitting(
     simulations: Sequence[ElementSimulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
-) -> list[list[int]]:
-    """Split into batches of which each alone fits the device's memory."""
+) -> list[tuple[list[int], float]]:
+    """Split into batches of which each alone fits the device's memory, with what each needs of it [B]."""
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
-        return [[number] for number in numbers]  # one after the other, each with all threads
+        return [([number], 0.0) for number in numbers]  # one after the other, each with all threads
     room = MEMORY_FRACTION * memory_free(first.device)
-    parts: list[list[int]] = [[]]
-    used = 0.0
+    parts: list[tuple[list[int], float]] = []
     for number in numbers:
         simulation = simulations[number]
         table = placed[number][0][0] if number in placed else BodyTable.empty()
         needed = memory_needed(simulation.model, table.joined(placed_bodies(simulation.scene)))
-        if parts[-1] and used + needed > room:
-            parts.append([])
-            used = 0.0
-        parts[-1].append(number)
-        used += needed
+        before, used = parts[-1] if parts else ([], 0.0)
+        if before and used + needed <= room:
+            parts[-1] = [*before, number], used + needed
+        else:
+            parts.append(([number], needed))
     return parts
+
+
+def _abreast(simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]) -> list[list[list[int]]]:
+    """Batches that run at the same time: on a GPU so many as fit its memory together, on a CPU one."""
+    turns: list[list[list[int]]] = []
+    used = 0.0
+    for numbers, needed in parts:
+        device = simulations[numbers[0]].device
+        if turns and parallel(device) and used + needed <= MEMORY_FRACTION * memory_free(device):
+            turns[-1].append(numbers)
+            used += needed
+        else:
+            turns.append([numbers])
+            used = needed
+    return turns

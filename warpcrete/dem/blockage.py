@@ -91,14 +91,14 @@ class BlockageWatch:
     def _stones(self) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths [m] and volumes [m3] of the aggregates, in the order of permanent numbers."""
         bodies = self.state.bodies
+        number, position = self.state.batch.exchange.read(bodies.id, bodies.position)
         place = np.empty(self.state.body_count, dtype=int)
-        place[bodies.id.numpy()] = np.arange(len(place))
+        place[number] = np.arange(len(place))
         if self._numbers is None:
             self._numbers = np.flatnonzero(bodies.group.numpy()[place] == 0)
             size = bodies.size.numpy()[place][self._numbers].astype(float)
             self._volume = np.pi / 6 * size**3
-        places = bodies.position.numpy()[place[self._numbers]].astype(float)
-        return self.axis.along(places), self._volume
+        return self.axis.along(position[place[self._numbers]].astype(float)), self._volume
 
     def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
         assert self._standing is not None

@@ -368,7 +368,8 @@ class NeighborLists:
 
     def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
         """How many entries each scene now has, and the last of `total`."""
-        found = total.numpy().astype(np.int64)
+        (found,) = self.batch.exchange.read(total)
+        found = found.astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
             raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")

@@ -189,9 +189,9 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
         scenes = {}
         for number, growth, stepper in zip(numbers, members, steppers):
             stepper.change(local_damping=0.5, growth_rate=growth.rate, growth_end=1.0)
-            scenes[stepper.index] = (stepper, growth.growing(stepper, lambda done, n=number: told(n, done)))
+            scenes[number] = (stepper, growth.growing(stepper, lambda done, n=number: told(n, done)))
         results = drive(scenes)
-        found |= {number: results[stepper.index] for number, stepper in zip(numbers, steppers)}
+        found |= results
         stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
         if stop is not None:
             raise stop

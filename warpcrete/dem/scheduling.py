@@ -68,10 +68,10 @@ class _Scene:
 class _Drive:
     """Scenes of one batch on their way, launch by launch."""
 
-    def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any) -> None:
-        self._members = {s: _Scene(*pair) for s, pair in scenes.items()}
+    def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any, *, regroups: bool) -> None:
+        self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
-        self._regroup = Regrouping()
+        self._regroup = Regrouping() if regroups else None
         self.stop: KeyboardInterrupt | None = None
 
     @property
@@ -82,7 +82,7 @@ class _Drive:
     @property
     def results(self) -> dict[int, Any]:
         """What each coroutine returned or raised, by the number that it came with."""
-        return {s: member.result for s, member in self._members.items()}
+        return {number: member.result for number, member in self._members.items()}
 
     @property
     def _batch(self) -> Any:
@@ -138,7 +138,8 @@ class _Drive:
                     self._go_on(member, self.stop)
 
     def _launch(self) -> None:
-        self._regroup([member.stepper for member in self.waiting])
+        if self._regroup is not None:
+            self._regroup([member.stepper for member in self.waiting])
         batch, stepper = self._batch, self.waiting[0].stepper
         if not batch.has_step:
             batch.use_step(step_stages(batch), stepper.stable_step.by_device() if batch.parallel else None)
@@ -164,19 +165,21 @@ class _Drive:
 
 
 def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
-    """Drive the coroutines of scenes of one batch, each with its stepper, to their ends, by scene number.
+    """Drive the coroutines of all scenes of one batch, each with its stepper, to their ends, by any numbers.
 
-    Returns what each returned or raised. An interruption (Ctrl-C), wherever it falls, is raised inside every coroutine
-    that waits.
+    Returns what each returned or raised; steppers may have come to another batch. An interruption (Ctrl-C), wherever it
+    falls, is raised inside every coroutine that waits.
     """
     (results,) = drive_abreast([(scenes, None)])
     return results
 
 
-def drive_abreast(groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]]) -> list[dict[int, Any]]:
+def drive_abreast(
+    groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]], *, regroups: bool = True
+) -> list[dict[int, Any]]:
     """:func:`drive` for several batches, each with the stream that a GPU has for it (None: its own): while some take
-    their steps, Python looks after others."""
-    drives = [_Drive(*group) for group in groups]
+    their steps, Python looks after others. A batch of which most scenes have ended `regroups`."""
+    drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None
     launched: list[_Drive] = []
 
@@ -190,7 +193,8 @@ def drive_abreast(groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]]
     while under_way := [one for one in drives if one.waiting]:
         try:
             if stop is not None:
-                each(lambda one: one.interrupt(stop), under_way)
+                for one in under_way:
+                    one.interrupt(stop)
                 continue
             each(_Drive.launch, [one for one in under_way if one not in launched])
             launched = [one for one in under_way if one.waiting]
@@ -206,7 +210,7 @@ def drive_abreast(groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]]
 
 def drive_one(stepper: Any, coroutine: Coroutine) -> Any:
     """Drive one scene's coroutine; returns what it returns, raises what it raises."""
-    result = drive({stepper.index: (stepper, coroutine)})[stepper.index]
+    result = drive_abreast([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
     if isinstance(result, BaseException):
         raise result
     return result

@@ -17,6 +17,11 @@ class Surfaces:
         self._corner_count = 0
         self._face_count = 0
 
+    @property
+    def face_count(self) -> int:
+        """Faces of the meshes so far."""
+        return self._face_count
+
     def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
         """Add a mesh; returns the number of its first face."""
         first_corner, first_face = self._corner_count, self._face_count
