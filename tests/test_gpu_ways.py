@@ -299,7 +299,7 @@ def kernels_of_a_step(pick):
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
                 gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
-                clump_kernel(batch.scalar, True, True, True, False, True, True, 3, links.WARP),
+                clump_kernel(batch.scalar, True, True, True, False, True, True, 4, links.WARP),
                 links.surface_kernel(batch.scalar, wall_law, True, False, links.WARP),
                 *body_kernels(batch.scalar, True, False, True),
                 pair_kernel(batch.scalar, law, False, True, True, True),

@@ -27,8 +27,9 @@ WARP = 32
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Rows of four numbers that a link gives: a third where it has a moment of its own or loses energy."""
-    return 3 if bonds or rolls or dissipation else 2
+    """Rows of four numbers that a link gives: two for both its spheres; two for each where it has a moment of its own
+    or loses energy."""
+    return 4 if bonds or rolls or dissipation else 2
 
 
 @functools.cache
@@ -42,45 +43,45 @@ def pull_functions(scalar, count: int):
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     rows = row_functions(scalar)
     read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
+    apart = count > 2
 
     @wp.func
     def pull(
         links: Links, p: wp.int32, force: t.vec3, arm_i: scalar, turn: t.vec3, arm_j: scalar, own: t.vec3, lost: scalar
     ):
-        write_vec4(links.pull, count * p, pack(force, arm_i))
-        write_vec4(links.pull, count * p + 1, pack(turn, arm_j))
-        if wp.static(count > 2):
-            write_vec4(links.pull, count * p + 2, pack(own, lost))
+        if wp.static(apart):
+            write_vec4(links.pull, count * p, pack(force, lost))
+            write_vec4(links.pull, count * p + 1, pack(arm_i * turn + own, scalar(0.0)))
+            write_vec4(links.pull, count * p + 2, pack(-force, scalar(0.0)))
+            write_vec4(links.pull, count * p + 3, pack(arm_j * turn - own, scalar(0.0)))
+        else:
+            write_vec4(links.pull, count * p, pack(force, arm_i))
+            write_vec4(links.pull, count * p + 1, pack(turn, arm_j))
 
     @wp.func
     def part_pull(links: Links, p: wp.int32, lost: scalar):
         pull(links, p, t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), t.vec3(), lost)
 
     @wp.func
-    def rows_of(links: Links, first: wp.int32, end: wp.int32):
-        p = first + wp.where(end >= 0, end, -1 - end)
-        own = t.vec4()
-        if wp.static(count > 2):
-            own = read_vec4(links.pull, count * p + 2)
-        return read_vec4(links.pull, count * p), read_vec4(links.pull, count * p + 1), own
+    def row_of(first: wp.int32, end: wp.int32):
+        """Of what a link gives at one of its ends."""
+        if wp.static(apart):
+            return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
+        return count * (first + wp.where(end >= 0, end, -1 - end))
 
     @wp.func
     def force_at(end: wp.int32, force: t.vec4):
-        """On the sphere at this end of a link."""
+        """On the sphere there."""
+        if wp.static(apart):
+            return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
-    def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4, own: t.vec4):
+    def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4):
         """About the centre of that sphere."""
-        moment = wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
-        if wp.static(count > 2):
-            moment = moment + wp.where(end >= 0, xyz(own), -xyz(own))
-        return moment
-
-    @wp.func
-    def lost_at(end: wp.int32, own: t.vec4):
-        """Of a link's two ends the first loses its energy."""
-        return wp.where(end >= 0, wp.float64(own[3]), wp.float64(0.0))
+        if wp.static(apart):
+            return xyz(turn)
+        return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
 
     @wp.func
     def pulled(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
@@ -116,31 +117,34 @@ def pull_functions(scalar, count: int):
                     w = read_int(links.end, block + lowest_bit(left))
                     left = left & (left - 1)
                     found = 4
-                a, b, c = rows_of(links, row / 2, q)
-                d, e, f = t.vec4(), t.vec4(), t.vec4()
-                g, h, k = t.vec4(), t.vec4(), t.vec4()
-                x, y, z = t.vec4(), t.vec4(), t.vec4()
+                r = row_of(row / 2, q)
+                a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
+                c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
                 if found > 1:
-                    d, e, f = rows_of(links, row / 2, u)
+                    r = row_of(row / 2, u)
+                    c, d = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
                 if found > 2:
-                    g, h, k = rows_of(links, row / 2, v)
+                    r = row_of(row / 2, v)
+                    e, f = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
                 if found > 3:
-                    x, y, z = rows_of(links, row / 2, w)
+                    r = row_of(row / 2, w)
+                    g, h = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
                 # One after the other: what has just parted, and adds nothing, may stand between.
-                force = (((force + force_at(q, a)) + force_at(u, d)) + force_at(v, g)) + force_at(w, x)
-                moment = (moment + moment_at(q, a, b, c)) + moment_at(u, d, e, f)
-                moment = (moment + moment_at(v, g, h, k)) + moment_at(w, x, y, z)
-                if wp.static(count > 2):
-                    lost = (((lost + lost_at(q, c)) + lost_at(u, f)) + lost_at(v, k)) + lost_at(w, z)
+                force = (((force + force_at(q, a)) + force_at(u, c)) + force_at(v, e)) + force_at(w, g)
+                moment = (moment + moment_at(q, a, b)) + moment_at(u, c, d)
+                moment = (moment + moment_at(v, e, f)) + moment_at(w, g, h)
+                if wp.static(apart):
+                    lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
         for entry in range(begin + BITS, end):  # no bits tell of these
             q = read_int(links.end, entry)
-            a, b, c = rows_of(links, row / 2, q)
+            r = row_of(row / 2, q)
+            a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
             force += force_at(q, a)
-            moment += moment_at(q, a, b, c)
-            if wp.static(count > 2):
-                lost += lost_at(q, c)
+            moment += moment_at(q, a, b)
+            if wp.static(apart):
+                lost += wp.float64(a[3])
         return force, moment, lost
 
     return SimpleNamespace(pull=pull, part_pull=part_pull, pulled=pulled)

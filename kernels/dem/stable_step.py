@@ -231,10 +231,15 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 load_wall(estimate, part, w, k)
-        estimate.sums[i, 0] = estimate.sums[i, 0] + sums.k
-        estimate.sums[i, 1] = estimate.sums[i, 1] + sums.c
-        estimate.sums[i, 2] = estimate.sums[i, 2] + sums.k_turn
-        estimate.sums[i, 3] = estimate.sums[i, 3] + sums.c_turn
+        if wp.static(half):  # the other sphere of a pair may have left its part
+            sums.k = sums.k + estimate.sums[i, 0]
+            sums.c = sums.c + estimate.sums[i, 1]
+            sums.k_turn = sums.k_turn + estimate.sums[i, 2]
+            sums.c_turn = sums.c_turn + estimate.sums[i, 3]
+        estimate.sums[i, 0] = sums.k
+        estimate.sums[i, 1] = sums.c
+        estimate.sums[i, 2] = sums.k_turn
+        estimate.sums[i, 3] = sums.c_turn
 
     return gather_stiffness
 
@@ -280,8 +285,9 @@ def floor_function(scalar, pair_law, wall_law):
 
 
 @functools.cache
-def reduce_kernel(scalar, pair_law, wall_law):
-    """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums."""
+def reduce_kernel(scalar, pair_law, wall_law, half: bool):
+    """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums of half lists,
+    to which both spheres of a pair add."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
@@ -335,8 +341,9 @@ def reduce_kernel(scalar, pair_law, wall_law):
             c_sum += estimate.sums[place, 1]
             k_turn += estimate.sums[place, 2]
             c_turn += estimate.sums[place, 3]
-            for column in range(4):
-                estimate.sums[place, column] = vec6()
+            if wp.static(half):
+                for column in range(4):
+                    estimate.sums[place, column] = vec6()
             # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
             # Shear turns it about its long axis with the sphere's radius as lever, across it with the whole arm.
             position = read_vec4(spheres.position, place)

@@ -185,9 +185,9 @@ def links_struct(scalar):
         touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
         more: wp.array(dtype=wp.int32)  # as `touching` of spheres, of the entries after those, MORE for each sphere
         end: wp.array(dtype=wp.int32)  # of each entry of the lists: its link p from the scene's first, of twins -1 - p
-        pull: wp.array(dtype=t.vec4)  # rows of what a link gave in this step: force on its lower sphere [N], the arm of
-        # that [m]; the contact's moment over the arm [N], the arm of the other; and, if there is a third, the moment
-        # of bond and rolling on the lower [N m], lost energy [J]
+        pull: wp.array(dtype=t.vec4)  # rows of what a link gave in this step. Of two: force on its lower sphere [N] and
+        # the arm of that [m]; the contact's moment over the arm [N] and the arm of the other. Of four, two for each
+        # sphere: force on it [N] and, of the lower, lost energy [J]; moment about its centre [N m]
         near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres and entry, from the batch's first, and link
         near_count: wp.array(dtype=wp.int32)  # how many they are, and whether some scene's no longer do, shape (2,)
         outrun: wp.array(dtype=wp.int32)  # 1: near links of the scene may miss a contact, shape (scenes,)

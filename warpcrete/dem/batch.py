@@ -281,8 +281,8 @@ class Batch:
         grown = wanted > capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # What a GPU's links give, each two entries, has three rows at most.
-        most = 2 * MAXIMUM_ENTRIES // 3 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
+        # What a GPU's links give, each two entries, has four rows at most.
+        most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
         for name in names:

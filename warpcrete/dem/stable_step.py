@@ -115,7 +115,7 @@ class StableStep:
         begin = {"asked": self._asked, "by_device": by_device, **own}
         lanes = ESTIMATE_LANES if b.device.is_cuda else 1
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling, lanes)
-        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law)
+        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list)
         sphere, body = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
         chunks, count = list(pairwise(b.states[which].chunks)), b.states[which].body_count
         if which < 0:
