@@ -15,7 +15,7 @@ from test_checkpoint import mixed_scene
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.launching import Stage, block_size, bound, graph_sizes, load, tasks_of
+from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.batch_run import run_batch
@@ -55,8 +55,6 @@ def like_a_gpu():
 def test_sizes_of_launches_in_one_dimension_and_several():
     for dim, tasks in ((7, 7), ((3, 256), 768), ((0, 256), 0), ((2, 3, 4), 24)):
         assert tasks_of(dim) == tasks
-    assert block_size(1000) == block_size((10, 100)) == 64
-    assert block_size(300_000) == block_size((300, 1000)) == 256
 
 
 @pytest.mark.parametrize("largest", [1, 16, 64])

@@ -30,7 +30,14 @@ COMMON_WALL = """
 #endif
 """
 WARP_TOTAL = """
-#if defined(__CUDA_ARCH__)
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+    // In three parts, of which 32 add up to less than 32 bits: one instruction adds up each.
+    const unsigned low = value & 0x3fffff, middle = (value >> 22) & 0x3fffff;
+    const int high = (int)(value >> 44);
+    return ((long long)(__reduce_add_sync(0xffffffffu, high)) * (1LL << 44)
+            + ((long long)(__reduce_add_sync(0xffffffffu, middle)) << 22)
+            + (long long)(__reduce_add_sync(0xffffffffu, low)));
+#elif defined(__CUDA_ARCH__)
     for (int away = 16; away > 0; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
     return value;
 #else

@@ -85,7 +85,11 @@ class Cells:
         """Lowest and highest corner of where nearly all spheres of a scene are [m], shape (2, 3)."""
         state = self.batch.states[s]
         stride = max(1, state.sphere_count // LOOKED_AT)
-        places = state.spheres.position.numpy()[::stride, :3].astype(float)
+        some = state.spheres.position[::stride]
+        looked_at = state.scratch("looked_at", some.shape, some.dtype)
+        wp.copy(looked_at, some)
+        (places,) = self.batch.exchange.read(looked_at)
+        places = places[:, :3].astype(float)
         places = places[np.isfinite(places).all(axis=1)]
         if not len(places):
             return np.zeros((2, 3))

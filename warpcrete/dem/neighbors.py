@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.errors import CapacityError
-from ..core.launching import Stage, block_size, launch
+from ..core.launching import Stage, launch
 from ..kernels.common.control import STALE
 from ..kernels.common.types import types
 from ..kernels.dem.linking import linking_kernels
@@ -352,7 +352,7 @@ class NeighborLists:
         if not f.half_list:
             linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, rows_of(f), OCTANTS)
             launches.links = [
-                b.stage(linking.clear_links, len(b.links.link), block=block_size(n)),
+                b.stage(linking.clear_links, len(b.links.link)),
                 b.stage(linking.count_own, n, count=self._count),
                 b.stage(linking.fill_links, OCTANTS * n, scanned=self._scanned),
             ]

@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 from typing import Any
 
-from ..core.launching import Stage, block_size, members
+from ..core.launching import Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
@@ -92,8 +92,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
     stages += [
-        # Blocks by the spheres: kernels are compiled before there are links.
-        b.stage(kernel, threads, threads=threads, block=block_size(n)),
+        b.stage(kernel, threads, threads=threads),
         _motion(b, 0, b.body_count),
     ]
     if f.walls:
