@@ -16,13 +16,16 @@ from warpcrete.dem.stepper import Stepper
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# Side by side, each worker of the tests keeps to cores of its own, and with it the threads and processes it begins.
+# Side by side, each worker of the tests keeps to cores of its own, and with it the threads and processes it begins, and
+# to one of the GPUs that CUDA_VISIBLE_DEVICES names.
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "")
-if WORKER and hasattr(os, "sched_setaffinity"):
-    cores, workers = sorted(os.sched_getaffinity(0)), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-    if workers <= len(cores):
-        place = int(WORKER.removeprefix("gw")) % workers  # one that follows a lost worker has a number beyond them
-        os.sched_setaffinity(0, cores[place::workers])
+if WORKER:
+    workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    place = int(WORKER.removeprefix("gw")) % workers  # one that follows a lost worker has a number beyond them
+    if gpus := os.environ.get("CUDA_VISIBLE_DEVICES"):
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpus.split(",")[place % len(gpus.split(","))]
+    if hasattr(os, "sched_setaffinity") and workers <= len(os.sched_getaffinity(0)):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[place::workers])
 
 
 def devices() -> list[str]:
@@ -96,6 +99,19 @@ def verification(module):
     return test_case
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--gpu", action="store_true", help="leave out what is on a CPU here as anywhere: cases of device cpu"
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--gpu"):
+        spared = [item for item in items if hasattr(item, "callspec") and item.callspec.params.get("device") == "cpu"]
+        config.hook.pytest_deselected(items=spared)
+        items[:] = [item for item in items if item not in set(spared)]
+
+
 def pytest_terminal_summary(terminalreporter, config):
     """A run of the whole suite on a GPU leaves a record of what it came to."""
     chosen = config.option.keyword or config.option.markexpr != "not slow"
@@ -106,12 +122,15 @@ def pytest_terminal_summary(terminalreporter, config):
 
     counts = {name: len(terminalreporter.stats.get(name, [])) for name in ("passed", "skipped")}
     failed = [report.nodeid for name in ("failed", "error") for report in terminalreporter.stats.get(name, [])]
+    left = max(0, terminalreporter._session.testscollected - sum(counts.values()) - len(set(failed)))
     record = {
         "device": wp.get_device("cuda:0").name,
         "date": datetime.date.today().isoformat(),
         "passed": counts["passed"],
         "skipped": counts["skipped"],
         "failed": failed,
+        "not_run": left,
+        "without": "cases of device cpu" if config.getoption("--gpu") else "",
         "warp": wp.__version__,
         "hash": source_hash(),
     }

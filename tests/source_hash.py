@@ -30,7 +30,9 @@ def verdict() -> str:
     if record.get("failed"):
         found += f", FAILED {', '.join(record['failed'])}"
     if record.get("not_run"):
-        found += f", {record['not_run']} not run: {record['why']}"
+        found += f", {record['not_run']} not run, as time was over"
+    if record.get("without"):
+        found += f", without {record['without']}"
     if record["hash"] == source_hash():
         return f"GPU: tests/gpu.json is of this code ({found})"
     return f"GPU: tests/gpu.json is NOT of this code but of {record['hash'][:12]} ({found}); run the suite on a GPU"

@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 import operator
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -206,9 +207,22 @@ def rested(part):
     return scenes.pipe(rest=600.0, velocity=0.9 - 0.3 * part, **stopping)
 
 
+def like_a_gpu(device):
+    return nullcontext() if device.startswith("cuda") else share_out_like_a_gpu()
+
+
+def check_the_same(ones, others):
+    for one, other in zip(ones, others, strict=True):
+        assert isinstance(other, Run) and other.finished
+        assert one.result["state_hash"] == other.result["state_hash"]
+        assert one.result["steps"] == other.result["steps"]
+        for name in one.series:
+            assert np.array_equal(one.series[name], other.series[name], equal_nan=True), name
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("scene", [mixed, hydrated, rested])
-def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, monkeypatch):
+def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, device, monkeypatch):
     """When most scenes have ended; friction, bonds, meshes, driven walls; bonds in rounds; a layer that is worn."""
     counts = []
     regroup = regrouping.regroup
@@ -221,12 +235,36 @@ def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, monkeypat
     monkeypatch.setattr(regrouping, "regroup", noted)
     monkeypatch.setattr(regrouping, "PATIENCE", 2)
     some = [scene(part) for part in (0, 1, 2)]
-    with share_out_like_a_gpu():
-        batched = run_batch(simulate("cpu", some))
+    with like_a_gpu(device):
+        batched = run_batch(simulate(device, some))
         assert counts == [(3, 1)]
-        for one, other in zip(alone("cpu", some), batched):
-            assert isinstance(other, Run) and other.finished
-            assert one.result["state_hash"] == other.result["state_hash"]
-            assert one.result["steps"] == other.result["steps"]
-            for name in one.series:
-                assert np.array_equal(one.series[name], other.series[name], equal_nan=True), name
+        check_the_same(alone(device, some), batched)
+
+
+def test_a_batch_is_not_made_anew_where_there_is_no_room_for_it(monkeypatch):
+    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    monkeypatch.setattr(regrouping, "memory_free", lambda device: 1e3)
+    monkeypatch.setattr(regrouping, "regroup", lambda steppers: pytest.fail("no room"))
+    with share_out_like_a_gpu():
+        runs = run_batch(simulate("cpu", [dataclasses.replace(falling(0.1), duration=0.02 + 0.02 * k) for k in (0, 1)]))
+    assert all(run.finished for run in runs)
+
+
+@pytest.mark.thorough
+def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device):
+    """Two batches at a time, each on a stream of its own where there are streams."""
+    some = [mixed(0), falling(0.1), mixed(1), falling(0.2)]
+    with like_a_gpu(device):
+        simulations = simulate(device, some)
+        batched = run_batch(simulations)
+        assert len({id(s.stepper.batch) for s in simulations}) == 2
+        check_the_same(alone(device, some), batched)
+
+
+def test_an_interruption_of_one_scene_ends_those_abreast(device):
+    with like_a_gpu(device):
+        simulations = simulate(device, [falling(0.1), falling(0.2, energy_balance=True)])
+        simulations[1].recorders.append(Interrupted())
+        runs = run_batch(simulations)
+        assert len({id(s.stepper.batch) for s in simulations}) == 2
+    assert all(isinstance(run, Run) and not run.finished for run in runs)
