@@ -118,8 +118,7 @@ def clump_kernel(
     time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, from so many `rows` a link, all move it, and each carries its spheres along. Tasks are whole
-    warps.
+    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -118,6 +118,24 @@ def noting_functions(scalar):
 
 
 @functools.cache
+def lanes_function(scalar):
+    """`added_up`: the sum of six numbers over the lanes of a sphere, all of which must call."""
+    vec6 = wp.types.vector(6, scalar)
+
+    @wp.func_native(LANES_TOTAL)
+    def lanes_total(value: scalar) -> scalar: ...
+
+    @wp.func
+    def added_up(part: vec6):
+        total = vec6()
+        for c in range(6):
+            total[c] = lanes_total(part[c])
+        return total
+
+    return added_up
+
+
+@functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
     in rounds only.
@@ -126,7 +144,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     thread, 0 on a GPU, where so many `lanes` of a warp share a sphere.
     """
     t = types(scalar)
-    vec6 = wp.types.vector(6, scalar)
+    added_up = lanes_function(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
         structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
@@ -145,17 +163,6 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     hurry, load_wall = noting_functions(scalar).hurry, noting_functions(scalar).load_wall
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
-
-    @wp.func_native(LANES_TOTAL)
-    def lanes_total(value: scalar) -> scalar: ...
-
-    @wp.func
-    def added_up(part: vec6):
-        """Of the lanes of a sphere, all of which must call."""
-        total = vec6()
-        for c in range(6):
-            total[c] = lanes_total(part[c])
-        return total
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(

@@ -18,7 +18,7 @@ class Exchange:
         self.device = device
         self._kept: dict[Any, tuple[wp.array, np.ndarray]] = {}
         self._asked: tuple[wp.array, ...] = ()
-        self._answered = wp.Event(device) if device.is_cuda else None
+        self._answered: Any = wp.Event(device) if device.is_cuda else None
         self._under_way: set[Any] = set()  # what was written and may not have left its buffer yet
 
     def read(self, *arrays: wp.array) -> list[np.ndarray]:

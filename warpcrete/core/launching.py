@@ -402,7 +402,7 @@ def _launch_beside(stages: list[Any], device: Any) -> None:
     for stage in stages:
         if stage.beside:
             if side is None:
-                side = wp.Stream(device)
+                side = wp.Stream(device, priority=main.priority)
                 side.wait_event(main.record_event())
             stage(side)
             apart = True

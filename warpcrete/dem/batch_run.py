@@ -65,9 +65,9 @@ def _run_batch(
     parts = [part for numbers in groups.values() for part in _fitting(simulations, placed, numbers)]
     turns = _abreast(simulations, parts)
     for done, turn in enumerate(turns):
-        members = [_Part(simulations, checkpoints, placed, outcomes, len(turn) > 1) for _ in turn]
+        members = [_Part(simulations, checkpoints, placed, outcomes, stream) for stream in _streams(simulations, turn)]
         try:
-            for part, numbers in zip(members, turn):
+            for part, (numbers, _) in zip(members, turn):
                 part.begin(numbers)
             begun = [part for part in members if part.scenes]
             for part, results in zip(begun, drive_abreast([(part.scenes, part.stream) for part in begun])):
@@ -92,7 +92,7 @@ class _Part:
         checkpoints: Sequence[Path | None],
         placed: dict[int, tuple[Any, float]],
         outcomes: dict[int, Outcome],
-        beside_others: bool,
+        stream: Any,
     ) -> None:
         self.simulations, self.checkpoints, self.placed = simulations, checkpoints, placed
         self.outcomes = outcomes
@@ -101,16 +101,12 @@ class _Part:
         """Some run was interrupted."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
         """By number, what :func:`drive` takes to their ends."""
-        self.stream = None
-        """Of a GPU, while others run beside."""
-        self._beside_others = beside_others
+        self.stream = stream
+        """Of a GPU while others run beside, else None."""
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
         """Make their batch; what is wrong with one is its outcome."""
-        device = self.simulations[numbers[0]].device
-        if self._beside_others and device.is_cuda:
-            self.stream = wp.Stream(device)
         with wp.ScopedStream(self.stream):
             self._begin(numbers)
 
@@ -225,16 +221,27 @@ def _fitting(
     return parts
 
 
-def _abreast(simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]) -> list[list[list[int]]]:
+def _abreast(
+    simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
+) -> list[list[tuple[list[int], float]]]:
     """Batches that run at the same time: on a GPU so many as fit its memory together, on a CPU one."""
-    turns: list[list[list[int]]] = []
+    turns: list[list[tuple[list[int], float]]] = []
     used = 0.0
     for numbers, needed in parts:
         device = simulations[numbers[0]].device
         if turns and parallel(device) and used + needed <= MEMORY_FRACTION * memory_free(device):
-            turns[-1].append(numbers)
+            turns[-1].append((numbers, needed))
             used += needed
         else:
-            turns.append([numbers])
+            turns.append([(numbers, needed)])
             used = needed
     return turns
+
+
+def _streams(simulations: Sequence[ElementSimulation], turn: list[tuple[list[int], float]]) -> list[Any]:
+    """Of a GPU, one for each batch that runs beside others: the largest, which keeps it busy, gives way to them."""
+    device = simulations[turn[0][0][0]].device
+    if len(turn) == 1 or not device.is_cuda:
+        return [None] * len(turn)
+    largest = max(needed for _, needed in turn)
+    return [wp.Stream(device, priority=0 if needed == largest else -1) for _, needed in turn]

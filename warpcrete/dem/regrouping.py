@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 from ..core.device import MEMORY_FRACTION, memory_free
 from ..core.footprint import footprint
@@ -11,9 +11,6 @@ from .batch import Batch
 from .neighbors import NeighborLists
 from .stable_step import StableStep
 from .state import State
-
-if TYPE_CHECKING:
-    from .stepper import Stepper
 
 PART = 0.5
 """Of a batch's spheres, that scenes which run on have at most when it is made anew."""
@@ -32,8 +29,8 @@ class Regrouping:
     def __init__(self) -> None:
         self._few = 0
 
-    def __call__(self, steppers: Sequence[Stepper]) -> None:
-        """Move the scenes that run on to a batch of their own, if that is due."""
+    def __call__(self, steppers: Sequence[Any]) -> None:
+        """Move scenes that run on, by their steppers, to a batch of their own, if that is due."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > PART * batch.sphere_count:
@@ -49,7 +46,7 @@ class Regrouping:
             regroup(steppers)
 
 
-def regroup(steppers: Sequence[Stepper]) -> None:
+def regroup(steppers: Sequence[Any]) -> None:
     """Move steppers of one batch to another that holds them alone; to the bit they go on as they would have."""
     old = steppers[0].batch
     old.device_changed()

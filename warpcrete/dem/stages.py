@@ -27,7 +27,7 @@ CHOSEN = 20
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
 LANE_BITS = 2
-"""Of the number of a GPU's threads that share a clump, where there are few."""
+"""Of the number of a GPU's threads that share a clump, where there are few, or each link gives much to read."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
@@ -136,7 +136,7 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
         kernel = clump_kernel(
             b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
         )
-        bits = LANE_BITS if width > 1 and b.sphere_count < MANY else 0
+        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY or rows > 2) else 0
         if not f.half_list:
             count = -(-(count << bits) // width) * width
         named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
