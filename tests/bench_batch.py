@@ -3,8 +3,9 @@
     python tests/bench_batch.py --device cuda --sizes 1 8 32 128 --steps 2000
     python tests/bench_batch.py --device cuda --study
 
-Prints the time of a step of 1 to N cases (clumps, bonds, analytic pipe, case A) taken at the start of pumping, and
-with --study the stepping time of the paper's 27 cases and its four units, run to their ends as batches.
+Prints the time of a step of 1 to N cases (clumps, bonds, analytic pipe, case A) taken at the start of pumping, as runs
+take them, samples apart: lists rebuilt, stable steps estimated; after as many untimed, in which graphs are captured.
+With --study prints the stepping time of the paper's 27 cases and its four units, run to their ends as batches.
 """
 
 import argparse
@@ -14,9 +15,9 @@ import numpy as np
 import warp as wp
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run_loop import Run
+from warpcrete.core.run_loop import Run, Until
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.scheduling import Steps, drive
+from warpcrete.dem.scheduling import drive
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
@@ -78,29 +79,31 @@ def main() -> None:
     first = None
     for size in arguments.sizes:
         simulations = prepared(size, arguments.device)
-        took = []
-        for _ in range(arguments.repeats):
+        spheres = np.array([s.state.sphere_count for s in simulations])
+        took, rates = [], []
+        for _ in range(arguments.repeats + 1):
             wp.synchronize()
+            before = np.array([s.stepper.steps for s in simulations])
             begun = time.perf_counter()
-            drive({s.stepper.index: (s.stepper, _steps(s.stepper, arguments.steps)) for s in simulations})
+            drive({k: (s.stepper, _on(s.stepper, arguments.steps)) for k, s in enumerate(simulations)})
             wp.synchronize()
-            took.append((time.perf_counter() - begun) / arguments.steps)
-        step = float(np.median(took))
+            spent = time.perf_counter() - begun
+            done = np.array([s.stepper.steps for s in simulations]) - before
+            took.append(spent / done.mean())
+            rates.append(float(np.sum(spheres * done)) / spent / 1e6)
+        step = float(np.median(took[1:]))
         first = first or step
-        spheres = sum(s.state.sphere_count for s in simulations)
         print(
-            f"| {size} | {spheres} | {1e6 * step:.1f} | {step / first:.2f} | {spheres / step / 1e6:.0f} |", flush=True
+            f"| {size} | {spheres.sum()} | {1e6 * step:.1f} | {step / first:.2f} | {np.median(rates[1:]):.0f} |",
+            flush=True,
         )
         del simulations
     print(f"\n{wp.get_device(arguments.device).name}; {arguments.steps} steps, medians of {arguments.repeats}")
 
 
-def _steps(stepper, count: int):
-    """Coroutine: `count` steps, the step's size estimated every 100."""
-    while count > 0:
-        stepper.choose_dt()
-        yield Steps(min(count, 100))
-        count -= 100
+def _on(stepper, count: int):
+    """Coroutine: on by the time of so many steps of the present size."""
+    yield Until(stepper.time + count * stepper.dt)
 
 
 def whole_study(device: str, cases: list[dict]) -> None:

@@ -17,6 +17,7 @@ from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
+from warpcrete.dem.ahead import Ahead
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
@@ -27,10 +28,12 @@ from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
+from warpcrete.kernels.common.control import ESTIMATED, FLAGS, GOAL, HALTED, STEPS
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem import links
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.stable_step import ESTIMATE_LANES, gather_kernel
+from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
@@ -55,6 +58,29 @@ def like_a_gpu():
 def test_sizes_of_launches_in_one_dimension_and_several():
     for dim, tasks in ((7, 7), ((3, 256), 768), ((0, 256), 0), ((2, 3, 4), 24)):
         assert tasks_of(dim) == tasks
+
+
+@pytest.mark.parametrize(
+    ("device", "given", "steps"),
+    [
+        ("gpu", {}, [18, 20, 20, 6]),  # until lists are expected to be stale, the estimate two steps old
+        ("gpu", {"goal": 5}, [5]),
+        ("gpu", {"time": 0.9985}, [2]),
+        ("gpu", {"time": 0.9999999999}, [1]),
+        ("gpu", {"dt": 0.0, "goal": 7}, [7]),
+        ("gpu", {"halted": 1}, []),
+        ("cpu", {}, [18]),
+        ("cpu", {"goal": 5}, [5]),
+    ],
+)
+def test_steps_ahead_end_where_the_scene_must_be_looked_after(device, given, steps):
+    flags, clock = np.zeros((1, FLAGS), dtype=np.int32), np.zeros((1, CLOCK))
+    flags[0, [int(STEPS), int(ESTIMATED)]] = 12, 10
+    flags[0, int(GOAL)] = 12 + given.get("goal", 1000)
+    flags[0, int(HALTED)] = given.get("halted", 0)
+    clock[0, [int(TIME), int(DT)]] = given.get("time", 0.0), given.get("dt", 1e-3)
+    rows = np.array([(1.0, 20)], dtype=[("until", float), ("interval", int)])
+    assert Ahead(device == "gpu", 1).pieces(flags, clock, rows) == steps
 
 
 @pytest.mark.parametrize("largest", [1, 16, 64])

@@ -176,6 +176,7 @@ class Batch:
 
     def _join_models(self) -> None:
         models = self.models
+        self._given: list[dict[str, Any]] = [{} for _ in models]
         self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
         segments = [m.segments.numpy() for m in models]
         first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
@@ -252,10 +253,13 @@ class Batch:
 
     def set(self, s: int, **numbers: Any) -> None:
         """Change numbers of a scene's row."""
+        if numbers.items() <= self._given[s].items():  # asked again and again by a scene on its way
+            return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
                 self.rows[name][s] = value
             self.scenes.row.assign(self.rows)
+        self._given[s] |= numbers
 
     def _place_pairs(self) -> None:
         self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])

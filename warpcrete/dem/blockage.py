@@ -136,18 +136,19 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:
         return np.inf
-    order = inside[np.argsort(before[inside], kind="stable")]
+    order = inside[np.argsort(before[inside])]
     rank = np.cumsum(volume[order]) - 0.5 * volume[order]
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    return min(_median(way[part == k], weight[part == k]) for k in np.unique(part))
+    edges = np.flatnonzero(np.diff(part)) + 1  # parts follow one another
+    return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
 def _median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
 def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -127,30 +127,33 @@ class Axis:
 
     def along(self, points: np.ndarray) -> np.ndarray:
         """Arc length of that point of the axis [m], negative before its start, shape (n,)."""
-        return self.projected(points)[1]
+        points = np.atleast_2d(np.asarray(points, dtype=float))
+        rows = self.parametrised()
+        if len(rows) == 1 and not rows[0]["arc"]:
+            return rows[0]["begin"] + (points - rows[0]["start"]) @ rows[0]["tangent"]
+        length, distance = np.zeros(len(points)), np.full(len(points), np.inf)
+        for row in rows:
+            # Along, outwards and across, number by number: of many points that takes a third of the time of vectors.
+            across = np.cross(row["tangent"], row["outward"])
+            local = points - (row["start"] - row["radius"] * row["outward"])
+            a, b = local @ row["tangent"], local @ row["outward"]
+            if row["arc"]:
+                angle = np.clip(np.arctan2(a, b), row["lower"], row["upper"])
+                s = row["begin"] + row["radius"] * angle
+                a, b = a - row["radius"] * np.sin(angle), b - row["radius"] * np.cos(angle)
+                apart = a * a + b * b + (local @ across) ** 2
+            else:
+                along = np.clip(a, row["lower"], row["upper"])
+                s = row["begin"] + along
+                apart = np.einsum("ij,ij->i", local, local) - a * a + (a - along) ** 2
+            nearer = apart < distance
+            length, distance = np.where(nearer, s, length), np.where(nearer, apart, distance)
+        return length
 
     def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Both :meth:`nearest` and :meth:`along` of points."""
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        best, distance = np.zeros_like(points), np.full(len(points), np.inf)
-        length = np.zeros(len(points))
-        for row in self.parametrised():
-            local = points - row["start"]
-            if row["arc"]:
-                local = local + row["radius"] * row["outward"]
-                angle = np.arctan2(local @ row["tangent"], local @ row["outward"])
-                angle = np.clip(angle, row["lower"], row["upper"])[:, None]
-                turned = np.cos(angle) * row["outward"] + np.sin(angle) * row["tangent"] - row["outward"]
-                place = row["start"] + row["radius"] * turned
-                s = row["begin"] + row["radius"] * angle[:, 0]
-            else:
-                along = np.clip(local @ row["tangent"], row["lower"], row["upper"])[:, None]
-                place = row["start"] + along * row["tangent"]
-                s = row["begin"] + along[:, 0]
-            apart = np.linalg.norm(points - place, axis=1)
-            nearer = apart < distance
-            best[nearer], distance[nearer], length[nearer] = place[nearer], apart[nearer], s[nearer]
-        return best, length
+        s = self.along(points)
+        return self.at(s)[0], s
 
     def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Points, tangents and two unit normals at arc lengths `s`, each shape (n, 3); frames do not twist."""
