@@ -161,14 +161,14 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, changed, words):
 def test_a_line_by_elements_runs_its_bore_and_knows_it_by_what_the_file_holds(tmp_path):
     tube(tmp_path / "bore.stl", [0.04, 0.03], length=0.2)
     (tmp_path / "site.yaml").write_text(
-        "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.4\n"
-        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 60 mm}\n  - straight: 0.2\n"
+        "diameter: 80 mm\nflow: 3.6 m3/h\nconcrete: zhan\nparts:\n  - straight: 0.3\n"
+        "  - bore: {file: bore.stl, scale: 0.001, length: 0.2, outlet: 60 mm}\n"
     )
     command = ["line", str(tmp_path / "site.yaml"), "--method", "dem", "--device", "cpu", "--quiet"]
     first = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "one")], catch_exceptions=False)
     assert first.exit_code in (0, 3), first.output
     record = json.loads((tmp_path / "one" / "line-dem.json").read_text())
-    assert record["parts"][1]["ratios"][0] > 1 and len(record["wall_time"]) == 5  # two straights, each pressed, too
+    assert record["parts"][1]["ratios"][0] > 1 and len(record["wall_time"]) == 5  # straights of both widths, each pressed, too
     command += ["--known", str(tmp_path / "one")]
     again = CliRunner().invoke(cli, [*command, "--out", str(tmp_path / "two")])
     second = json.loads((tmp_path / "two" / "line-dem.json").read_text())
