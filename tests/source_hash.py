@@ -30,7 +30,7 @@ def verdict() -> str:
     if record.get("failed"):
         found += f", FAILED {', '.join(record['failed'])}"
     if record.get("not_run"):
-        found += f", {record['not_run']} not run, as time was over"
+        found += f", {record['not_run']} not run (time was over, or a worker lost)"
     if record.get("without"):
         found += f", without {record['without']}"
     if record["hash"] == source_hash():

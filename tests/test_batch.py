@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 import operator
+import signal
 from contextlib import nullcontext
 
 import numpy as np
@@ -211,6 +212,10 @@ def mixed(part):
     return dataclasses.replace(mixed_scene(part), duration=0.07 + 0.015 * part)
 
 
+def drops(part):
+    return dataclasses.replace(falling(0.1 + 0.1 * part), duration=0.015 + 0.015 * part)
+
+
 def hydrated(part):
     return scenes.pipe(hydration=0.2, hydration_modulus=1e7, velocity=0.9 - 0.3 * part, **SMALL | dict(travel=0.015))
 
@@ -225,8 +230,17 @@ def like_a_gpu(device):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("scene", [mixed, hydrated, rested])
-def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, device, monkeypatch):
+@pytest.mark.parametrize(
+    ("scene", "parts", "made"),
+    [
+        (mixed, (0, 0, 1, 1, 2), [(5, 1)]),
+        (mixed, (0, 1, 2, 3, 4, 5), [(6, 3), (3, 1)]),
+        (drops, (0, 1, 2, 3, 4, 5), [(6, 3), (3, 1)]),
+        (hydrated, (0, 2), [(2, 1)]),
+        (rested, (0, 2), [(2, 1)]),
+    ],
+)
+def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, parts, made, device, monkeypatch):
     """When most scenes have ended; friction, bonds, meshes, driven walls; bonds in rounds; a layer that is worn."""
     counts = []
     regroup = regrouping.regroup
@@ -238,11 +252,27 @@ def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, device, m
 
     monkeypatch.setattr(regrouping, "regroup", noted)
     monkeypatch.setattr(regrouping, "PATIENCE", 2)
-    some = [scene(part) for part in (0, 2)]
+    some = [scene(part) for part in parts]
     with like_a_gpu(device):
         batched = run_batch(simulate(device, some))
-        assert counts == [(2, 1)]
+        assert counts == made
         check_the_same(alone(device, some), batched)
+
+
+def test_an_interruption_while_a_batch_is_made_anew_waits_for_that(monkeypatch):
+    regroup, interrupted = regrouping.regroup, []
+
+    def disturbed(steppers):
+        interrupted.append(True)
+        signal.raise_signal(signal.SIGINT)
+        regroup(steppers)
+
+    monkeypatch.setattr(regrouping, "regroup", disturbed)
+    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    with share_out_like_a_gpu():
+        runs = run_batch(simulate("cpu", [drops(0), drops(3)]))
+    assert interrupted and runs[0].finished
+    assert isinstance(runs[1], Run) and not runs[1].finished and len(runs[1].series["time"]) > 1
 
 
 def test_a_batch_is_not_made_anew_where_there_is_no_room_for_it(monkeypatch):

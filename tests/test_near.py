@@ -194,6 +194,19 @@ def test_what_the_host_writes_and_reads_is_the_same(device):
     assert not exchange.read(small)[0].any()
 
 
+def test_what_was_asked_for_is_there_however_much_else_is_read(device, monkeypatch):
+    """Memory for many arrays is given up; an answer on its way keeps its own."""
+    monkeypatch.setattr("warpcrete.core.exchange.KEPT", 3)
+    exchange = Exchange(find_device(device))
+    a, b, *others = (wp.full(4 + k, k, dtype=wp.int32, device=device) for k in range(9))
+    for count in range(len(others)):
+        exchange.read(*others[:count])
+        exchange.ask(a, b)
+        exchange.write(others[0], np.full(others[0].shape, 7))
+        answer = exchange.answer()
+        assert exchange.answered and [each.tolist() for each in answer] == [[0] * 4, [1] * 5]
+
+
 @pytest.mark.parametrize("scalar", [wp.float32, wp.float64], ids=["float32", "float64"])
 def test_turns_of_any_size_are_exact(device, scalar):
     t = types(scalar)

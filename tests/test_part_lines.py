@@ -135,7 +135,7 @@ def test_bends_of_one_plane_are_computed_by_half(tmp_path):
             assert np.all((places > room.origin) & (places < high)) or not inside
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
     """What is between is the coarse cells' error on straight friction, which the parts take from finer ones."""
     path = tmp_path / "site.yaml"

@@ -112,7 +112,7 @@ def array_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=t.vec4)  # of the body [rad/s], and nothing: rows of four are moved at once
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
         clear: wp.array(dtype=t.vec4)  # where its distance to still walls was last measured, and that distance [m]
-        force: wp.array(dtype=t.vec3)  # of all contacts in this step [N]
+        force: wp.array(dtype=t.vec3)  # of all contacts in this step, on a GPU of those with walls; 0 between steps [N]
         moment: wp.array(dtype=t.vec3)  # about its centre [N m]
         touching: wp.array(dtype=wp.int32)  # a bit for each of the first list entries that touched in the last step
         dissipated_energy: wp.array(dtype=wp.float64)  # since the start [J]

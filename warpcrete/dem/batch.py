@@ -2,8 +2,8 @@
 
 Scenes of a batch share kernels and launches and nothing else: each has its own parameters, walls, clock, flags and
 lists. A scene whose lists no longer cover every possible contact, whose goal is reached or which has failed halts
-itself on the device: every kernel passes it by. So no contact is missed however many steps are in flight, a
-finished scene costs nothing, and a scene alone and in a batch holds the same bits.
+itself on the device: every kernel passes it by. So no contact is missed however many steps are in flight, and a
+scene alone and in a batch holds the same bits. Finished scenes cost little, but not nothing: see `regrouping`.
 """
 
 from __future__ import annotations

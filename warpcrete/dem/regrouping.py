@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..core.device import MEMORY_FRACTION, memory_free
+from ..core.device import memory_free
 from ..core.footprint import footprint
 from .batch import Batch
 from .neighbors import NeighborLists
@@ -16,6 +16,8 @@ PART = 0.5
 """Of a batch's spheres, that scenes which run on have at most when it is made anew."""
 PATIENCE = 20
 """Launches in which so few are left before that: what ends soon after is not worth it."""
+ROOM = 0.5
+"""Of the memory that is free, that the new batch may take: the old one stays until all is done, and others grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "foreseen_speed", "held",
@@ -42,7 +44,7 @@ class Regrouping:
         self._few = 0
         # Scenes that have ended hold on to the batch that they were in.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
-        if needed < MEMORY_FRACTION * memory_free(batch.device):
+        if needed < ROOM * memory_free(batch.device):
             regroup(steppers)
 
 

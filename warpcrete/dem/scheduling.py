@@ -1,4 +1,4 @@
-"""Many scenes of one batch, each a coroutine that says where it wants to be, carried forward together.
+"""Many scenes, each a coroutine that says where it wants to be; those of a batch are carried forward together.
 
 This is the only place that knows how coroutines of runs, packings and single steppers become launches of a batch.
 """
@@ -93,8 +93,9 @@ class _Drive:
         """Whether the device has done what was launched."""
         return self._batch.settled
 
-    def begin(self) -> None:
-        """All coroutines up to where they want to go first."""
+    def begin(self, stop: KeyboardInterrupt | None) -> None:
+        """All coroutines up to where they want to go first, or, after an interruption, to their ends."""
+        self.stop = stop
         with self._on_stream():
             for member in self._members.values():
                 self._go_on(member, self.stop)
@@ -139,7 +140,8 @@ class _Drive:
 
     def _launch(self) -> None:
         if self._regroup is not None:
-            self._regroup([member.stepper for member in self.waiting])
+            with put_off():
+                self._regroup([member.stepper for member in self.waiting])
         batch, stepper = self._batch, self.waiting[0].stepper
         if not batch.has_step:
             batch.use_step(step_stages(batch), stepper.stable_step.by_device() if batch.parallel else None)
@@ -167,8 +169,8 @@ class _Drive:
 def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
     """Drive the coroutines of all scenes of one batch, each with its stepper, to their ends, by any numbers.
 
-    Returns what each returned or raised; steppers may have come to another batch. An interruption (Ctrl-C), wherever it
-    falls, is raised inside every coroutine that waits.
+    Returns what each returned or raised. Steppers may have come to other batches, so they are not to be driven together
+    again. An interruption (Ctrl-C), wherever it falls, is raised inside every coroutine that waits.
     """
     (results,) = drive_abreast([(scenes, None)])
     return results
@@ -178,7 +180,8 @@ def drive_abreast(
     groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
     """:func:`drive` for several batches, each with the stream that a GPU has for it (None: its own): while some take
-    their steps, Python looks after others. A batch of which most scenes have ended `regroups`."""
+    their steps, Python looks after others, as far as it reads by an `Exchange`: ``numpy()`` waits for all streams. A
+    batch of which most scenes have ended `regroups`."""
     drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None
     launched: list[_Drive] = []
@@ -189,7 +192,7 @@ def drive_abreast(
             act(one)
             stop = stop or one.stop
 
-    each(_Drive.begin, drives)
+    each(lambda one: one.begin(stop), drives)
     while under_way := [one for one in drives if one.waiting]:
         try:
             if stop is not None:
