@@ -71,6 +71,13 @@ def test_parts_are_made_or_refused_by_name(data):
 ALL_SCENES = tuple(name.replace("-", "_") for name in modules())
 
 
+def test_a_pipe_of_no_cross_section_is_refused():
+    """Found by the test below: the square of its radius is no number above 0."""
+    for scene in (scenes.channel, scenes.tube):
+        with pytest.raises(SceneError, match=r"^diameter = 1e-166: is so small"):
+            scene(diameter=1e-166)
+
+
 @pytest.mark.parametrize("scene", ALL_SCENES)
 @settings(QUICK, max_examples=60)
 @given(data=st.data())

@@ -145,13 +145,16 @@ def column_scene(
 ) -> FluidScene:
     """Scene of a column; `paper` has the printed figures of each concrete in the paper's own case.
 
-    Raises :class:`SceneError` where the pressure moves nothing.
+    Raises :class:`SceneError` where the pressure moves nothing, or through nothing.
     """
     Within(0, np.nextafter(given.diameter / 2, 0), "less than the radius").check(
         "slip_thickness", given.slip_thickness, " m"
     )
     concrete = given.constants()
     bulk = given.diameter / 2 - given.slip_thickness
+    area = np.pi * bulk**2
+    if area == 0.0:
+        refuse("diameter", given.diameter, "is so small that its cross-section rounds to 0", "give it in metres")
     flow = given.driven(concrete, bulk, dimensions)
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
@@ -160,7 +163,7 @@ def column_scene(
         dimensions=dimensions,
         radius=bulk,
         length=given.length,
-        velocity=flow / (np.pi * bulk**2),
+        velocity=flow / area,
         spacing=given.spacing,
         aggregates=given.coarse(concrete, dimensions),
         published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
