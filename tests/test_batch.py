@@ -269,8 +269,12 @@ def test_an_interruption_while_a_batch_is_made_anew_waits_for_that(monkeypatch):
 
     monkeypatch.setattr(regrouping, "regroup", disturbed)
     monkeypatch.setattr(regrouping, "PATIENCE", 2)
-    with share_out_like_a_gpu():
-        runs = run_batch(simulate("cpu", [drops(0), drops(3)]))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background of a shell it is ignored
+    try:
+        with share_out_like_a_gpu():
+            runs = run_batch(simulate("cpu", [drops(0), drops(3)]))
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert interrupted and runs[0].finished
     assert isinstance(runs[1], Run) and not runs[1].finished and len(runs[1].series["time"]) > 1
 
