@@ -32,7 +32,7 @@ from warpcrete.kernels.common.control import ESTIMATED, FLAGS, GOAL, HALTED, STE
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem import links
 from warpcrete.kernels.dem.clump_motion import clump_kernel
-from warpcrete.kernels.dem.stable_step import ESTIMATE_LANES, gather_kernel
+from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
 from warpcrete.kernels.mps import resident_solver

@@ -116,7 +116,7 @@ def test_every_array_says_what_it_is():
                 name = line.split(":")[0].strip()
                 group = ("near_count", "near", "far_count", "wall_count")
                 assert "#" in line or name in group, f"{path}: {line.strip()}"
-    for module in ("dem.state", "dem.model", "dem.batch", "mps.state", "mps.particles"):
+    for module in ("dem.state", "dem.model", "dem.joint", "mps.state", "mps.particles"):
         for node in ast.walk(ast.parse(MODULES[module].read_text())):
             if isinstance(node, ast.ClassDef):
                 for statement, after in zip(node.body, [*node.body[1:], None]):

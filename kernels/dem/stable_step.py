@@ -16,23 +16,12 @@ import warp as wp
 from ..common.control import ARRIVED, ESTIMATED, FAILED, HALTED, STALE, STEPS
 from ..common.rows import row_functions
 from ..common.types import cpu_flags, types, vector_functions
-from ..common.walls import DRIVEN, wall_functions
-from .bond_parallel import bond_functions
+from ..common.walls import DRIVEN
 from .clock import arrived_function
 from .contact_law import contact_functions
-from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
+from .stiffness import estimate_struct, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
-
-ESTIMATE_LANES = 4
-"""Threads of a GPU's warp that share a sphere: they read its row of the list together."""
-LANES_TOTAL = """
-#if defined(__CUDA_ARCH__)
-    const unsigned lanes = 0xfu << (threadIdx.x & 28);
-    for (int away = 2; away > 0; away /= 2) value += __shfl_xor_sync(lanes, value, away);
-#endif
-    return value;
-"""
 
 
 def estimate_options(half: bool) -> dict:
@@ -115,140 +104,6 @@ def noting_functions(scalar):
         return found
 
     return SimpleNamespace(hurry=hurry, load_wall=load_wall, fastest=fastest, smallest=smallest)
-
-
-@functools.cache
-def lanes_function(scalar):
-    """`added_up`: the sum of six numbers over the lanes of a sphere, all of which must call."""
-    vec6 = wp.types.vector(6, scalar)
-
-    @wp.func_native(LANES_TOTAL)
-    def lanes_total(value: scalar) -> scalar: ...
-
-    @wp.func
-    def added_up(part: vec6):
-        total = vec6()
-        for c in range(6):
-            total[c] = lanes_total(part[c])
-        return total
-
-    return added_up
-
-
-@functools.cache
-def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
-    """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
-    in rounds only.
-
-    In the half list `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number of the
-    thread, 0 on a GPU, where so many `lanes` of a warp share a sphere.
-    """
-    t = types(scalar)
-    added_up = lanes_function(scalar)
-    structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
-        structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
-    )  # fmt: skip
-    Estimate = estimate_struct(scalar)
-    PairParameters = pair_law.functions(scalar).Parameters
-    WallParameters, wall_stiffness = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).stiffness
-    Bond = bond_functions(scalar).Bond
-    add_pairs = pair_stiffness_function(scalar, pair_law, half, bonds, subcycling, lanes).add_pairs
-    matrices = stiffness_functions(scalar)
-    outer, turning = matrices.outer, matrices.turning
-    wall_touch = contact_functions(scalar).wall_touch
-    shape = wall_functions(scalar)
-    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
-    xyz = vector_functions(scalar).xyz
-    hurry, load_wall = noting_functions(scalar).hurry, noting_functions(scalar).load_wall
-    rows = row_functions(scalar)
-    read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
-    def gather_stiffness(
-        # model
-        pair_parameters: wp.array(dtype=PairParameters),
-        bond_parameters: wp.array(dtype=Bond),
-        wall_parameters: wp.array(dtype=WallParameters),
-        segments: wp.array(dtype=Segment),
-        # chunk
-        due: wp.array(dtype=wp.int32),
-        begin: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        part: wp.int32,
-        stiff: wp.bool,
-        # state, read
-        scenes: Scenes,
-        bodies: Bodies,
-        spheres: Spheres,
-        slots: Slots,
-        pairs: Pairs,
-        walls: Walls,
-        # written
-        estimate: Estimate,
-    ):
-        i = begin + wp.tid() / wp.static(lanes)
-        lane = wp.tid() % wp.static(lanes)
-        s = spheres.scene[i]
-        if due[s] == 0:
-            return
-        zero = scalar(0.0)
-        position_i, moving_i = read_vec4(spheres.position, i), read_vec4(spheres.velocity, i)
-        xi, radius_i, velocity_i = xyz(position_i), position_i[3], xyz(moving_i)
-        row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-        arm_i = xi - read_vec3(bodies.position, scenes.row[s].bodies + spheres.body[i])
-        hurry(estimate, part, s, wp.length(velocity_i))
-        sums = add_pairs(
-            i, s, lane, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
-        )  # fmt: skip
-        if wp.static(lanes > 1):
-            sums.k = added_up(sums.k)
-            sums.c = added_up(sums.c)
-            sums.k_turn = added_up(sums.k_turn)
-            sums.c_turn = added_up(sums.c_turn)
-            if lane > 0:
-                return
-        first_wall = scenes.row[s].walls
-        for w in range(first_wall, first_wall + scenes.row[s].wall_count):
-            surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
-            hurry(estimate, part, s, wp.length(surface))
-        met = slots.history.shape[1]
-        if stiff:
-            met = 0
-        for slot in range(met):
-            w = first_wall + slot
-            n = t.vec3()  # into the wall
-            overlap = scalar(-1.0)
-            if slot < scenes.row[s].analytic:
-                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)
-                n = into_wall(walls.table[w], direction)
-                overlap = radius_i - distance
-            else:
-                w = first_wall + slots.wall[i, slot]
-                if slots.wall[i, slot] >= 0:
-                    n = slots.normal[i, slot]
-                    overlap = slots.overlap[i, slot]
-            if overlap > zero:
-                surface = walls.velocity[w] + wp.cross(walls.spin[w], xi + radius_i * n - walls.position[w])
-                touch = wall_touch(n, -overlap, surface - velocity_i, zero, radius_i, moving_i[3])
-                k = wall_stiffness(wall_parameters[row + walls.table[w].material], touch)
-                sums.k = sums.k + outer(n, k[0], k[1])
-                sums.c = sums.c + outer(n, k[2], k[3])
-                sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
-                sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
-                load_wall(estimate, part, w, k)
-        if wp.static(half):  # the other sphere of a pair may have left its part
-            sums.k = sums.k + estimate.sums[i, 0]
-            sums.c = sums.c + estimate.sums[i, 1]
-            sums.k_turn = sums.k_turn + estimate.sums[i, 2]
-            sums.c_turn = sums.c_turn + estimate.sums[i, 3]
-        estimate.sums[i, 0] = sums.k
-        estimate.sums[i, 1] = sums.c
-        estimate.sums[i, 2] = sums.k_turn
-        estimate.sums[i, 3] = sums.c_turn
-
-    return gather_stiffness
 
 
 @functools.cache

@@ -15,25 +15,19 @@ import numpy as np
 import warp as wp
 
 from ..core.device import parallel
-from ..core.errors import CapacityError, refuse
+from ..core.errors import refuse
 from ..core.exchange import Exchange
 from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
-from ..geometry.surfaces import Surfaces
-from ..geometry.walls import MeshWall
 from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS, WAITS
-from ..kernels.common.types import types
-from ..kernels.common.walls import FIXED, MESH
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
-from ..kernels.dem.structs import array_structs, scene_struct
 from .ahead import NEVER, Ahead
-from .links import carry_links, even_pairs, make_links
+from .joint import JointArrays
 from .model import Model
 from .resting import Structure
-from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+from .state import State
 from .subcycling import Subcycles
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
 PER_THREAD = 500
 """Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
 thirds to the whole of one's time at a thousand spheres, one and a quarter to twice it at half as many."""
@@ -45,79 +39,23 @@ def batch_key(model: Model) -> tuple:
     return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
 
-class Batch:
+class Batch(JointArrays):
     """Scenes with the same features on one device; the arrays of `states[s]` become slices of the joint ones.
 
     `threads` (CPU only, one scene only) splits every stage into as many chunks of neighbouring bodies; fewer where
     there are few.
     """
 
-    flags: wp.array
-    """Of all scenes, as that of a :class:`State`."""
-    scenes: Any
-    """Joint arrays of all scenes, as those of a :class:`State`: structs of `kernels/dem/structs.py`."""
-    bodies: Any
-    spheres: Any
-    slots: Any
-    pairs: Any
-    candidates: Any
-    walls: Any
-    corners: wp.array
-    """Of all meshes, each in its wall's frame [m], shape (corners,)."""
-    faces: wp.array
-    """Corners of each triangle, shape (faces, 3)."""
-    across: wp.array
-    """Far corner beyond each edge of a triangle, then the triangle there; -1 at borders, shape (faces, 6)."""
-    ring_start: wp.array
-    """First entry of each corner's row in `ring`, and the end, shape (corners + 1,)."""
-    ring: wp.array
-    """For each corner the lowest triangle there, then the corners with which it shares an edge."""
-    face_wall: wp.array
-    """Wall that a triangle belongs to, shape (faces,)."""
-    pair_parameters: wp.array
-    """Contact laws between bodies, of all scenes one after the other; as the next five those of a :class:`Model`."""
-    wall_parameters: wp.array
-    """Contact laws of bodies with walls."""
-    bond_parameters: wp.array
-    """Kinds of bonds."""
-    segments: wp.array
-    """Pieces of the axes of pipes and drives."""
-    drive_axis: wp.array
-    """First segment of each group's axis, and the end, shape (groups, 2)."""
-    drive_force: wp.array
-    """On each body of a group, along that axis [N], shape (groups,)."""
-    rows: np.ndarray
-    """Host copy of `scenes.row`."""
-    slot_scene: wp.array
-    """Scene of every entry of `pairs.start`, shape (spheres + scenes,)."""
-
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
         model = models[0]
         if len({batch_key(m) for m in models}) > 1:
             refuse("batch", len(models), "scenes of a batch must need the same features")
-        self.models, self.states = models, states
         for s, state in enumerate(states):
             state.taken_into(self, s)
-        self.features, self.scalar, self.device = model.features, model.scalar, model.device
-        self.parallel = parallel(self.device)
-        self.count = len(models)
-        self.body_count = sum(s.body_count for s in states)
-        self.sphere_count = sum(s.sphere_count for s in states)
-        self.wall_count = sum(len(m.walls) for m in models)
-        if self.parallel or self.count > 1:
+        if parallel(model.device) or len(models) > 1:
             threads = 1
-        self.threads = max(1, min(threads, self.sphere_count // PER_THREAD))
-        self.structs = array_structs(self.scalar)
-        if self.parallel:
-            even_pairs(states)
-        self.capacity = np.array([len(s.pairs.other) for s in states])
-        """Entries that there is room for in the pair arrays, of each scene."""
-        self.face_capacity = np.array([len(s.candidates.face) for s in states])
-        """Likewise of the mesh candidates."""
-        self._join_states()
-        self._join_models()
-        self._place_pairs()
-        self.links = make_links(self)
+        spheres = sum(s.sphere_count for s in states)
+        super().__init__(models, states, max(1, min(threads, spheres // PER_THREAD)))
         self.subcycles = Subcycles(self)
         self.structure = Structure(self) if self.features.structure else None
         self.exchange = Exchange(self.device)
@@ -139,171 +77,6 @@ class Batch:
         self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
         self.split()
-
-    # What a scene of the batch is made of.
-
-    def _join_states(self) -> None:
-        """Joint arrays; those of the states become slices of them. What only a batch has begins as zero."""
-        for struct in STRUCTS:
-            setattr(self, struct, getattr(self.structs, struct.capitalize())())
-        for struct, names in state_fields(self.structs).items():
-            for name in names:
-                joint = self._join([getattr(state, struct) for state in self.states], name)
-                setattr(getattr(self, struct), name, joint)
-        self.flags = self._join(self.states, "flags")
-        n = self.sphere_count
-        counts = [s.sphere_count for s in self.states]
-        vec4 = self.structs.Spheres.vars["clear"].type.dtype
-        self.spheres.scene = self._numbers(counts)
-        self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
-        self.bodies.scene = self._numbers([s.body_count for s in self.states])
-        self.slot_scene = self._numbers([n + 1 for n in counts])
-
-    def _join(self, parts: list[Any], name: str) -> wp.array:
-        """One array of those that the parts have under a name; theirs become slices of it."""
-        arrays = [getattr(part, name) for part in parts]
-        if len(arrays) == 1:
-            return arrays[0]
-        joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
-        first = 0
-        for part, array in zip(parts, arrays):
-            if array.size:  # without walls rows have no columns
-                view = joint[first : first + len(array)]
-                wp.copy(view, array)
-                setattr(part, name, view)
-            first += len(array)
-        return joint
-
-    def _join_models(self) -> None:
-        models = self.models
-        self._given: list[dict[str, Any]] = [{} for _ in models]
-        self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
-        segments = [m.segments.numpy() for m in models]
-        first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
-        tables, drives, surfaces = [], [], Surfaces()
-        first = dict.fromkeys(("bodies", "spheres", "walls", "laws", "bonds", "groups"), 0)
-        for s, (model, state) in enumerate(zip(models, self.states)):
-            for name, value in first.items():
-                self.rows[name][s] = value
-            table = model.wall_table.numpy().copy()[: len(model.walls)]
-            table["first"] += first_segment[s]
-            table["last"] += first_segment[s]
-            self.rows["faces"][s] = surfaces.face_count
-            for w, wall in enumerate(model.walls):
-                if isinstance(wall, MeshWall):
-                    assert table["kind"][w] == int(MESH)
-                    table["first_face"][w] = surfaces.add(wall.vertices, wall.faces, first["walls"] + w)
-            tables.append(table)
-            drives.append(model.drive_axis.numpy() + first_segment[s])
-            self._describe(s, model, state, still=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED))))
-            first["bodies"] += state.body_count
-            first["spheres"] += state.sphere_count
-            first["walls"] += len(model.walls)
-            first["laws"] += len(model.pair_parameters)
-            first["bonds"] += len(model.bond_parameters)
-            first["groups"] += len(model.groups)
-        for name in ("pair_parameters", "wall_parameters", "bond_parameters", "drive_force", "segments"):
-            setattr(self, name, self._chained([getattr(model, name) for model in models]))
-        self.drive_axis = self._array(np.concatenate(drives), wp.int32)
-        self.scenes.row = self._array(self.rows, scene_struct(self.scalar))
-        self.walls.scene = self._numbers([len(m.walls) for m in models])
-        self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
-        self.walls.rest_position = self._chained([m.rest_position for m in models])
-        self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
-        self.corners = self._array(surfaces.corners(), types(self.scalar).vec3)
-        self.faces = self._array(surfaces.faces(), wp.int32, 2)
-        self.across = self._array(surfaces.across(), wp.int32, 2)
-        self.ring_start = self._array(surfaces.ring_start(), wp.int32)
-        self.ring = self._array(surfaces.ring(), wp.int32)
-        self.face_wall = self._array(surfaces.owner(), wp.int32)
-
-    def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
-        """Numbers of a scene's row that never change."""
-        row = self.rows
-        row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
-        row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
-        row["still"][s] = still
-        row["materials"][s] = len(model.materials)
-        row["gravity"][s] = model.scene.gravity
-        row["speed_limit"][s] = model.scene.watch.speed
-        row["largest_radius"][s] = state.largest_radius
-        row["growth_end"][s] = 1.0
-        row["until"][s], row["interval"][s] = np.inf, NEVER
-        row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
-
-    def _chained(self, arrays: list[wp.array]) -> wp.array:
-        """Arrays that never change, end to end."""
-        if len(arrays) == 1:
-            return arrays[0]
-        joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
-        first = 0
-        for array in arrays:
-            if len(array):
-                wp.copy(joint[first : first + len(array)], array)
-                first += len(array)
-        return joint
-
-    def _array(self, values: Any, dtype: Any, dimensions: int = 1) -> wp.array:
-        if len(values) == 0:
-            return wp.zeros((0,) * dimensions, dtype=dtype, device=self.device)
-        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
-
-    def _numbers(self, counts: list[int]) -> wp.array:
-        return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
-
-    def set(self, s: int, **numbers: Any) -> None:
-        """Change numbers of a scene's row."""
-        if numbers.items() <= self._given[s].items():  # asked again and again by a scene on its way
-            return
-        if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
-            for name, value in numbers.items():
-                self.rows[name][s] = value
-            self.scenes.row.assign(self.rows)
-        self._given[s] |= numbers
-
-    def _place_pairs(self) -> None:
-        self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])
-        self.rows["candidates"] = np.concatenate([[0], np.cumsum(self.face_capacity)[:-1]])
-        self.scenes.row.assign(self.rows)
-
-    def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
-        used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
-        before, old = self.links, self.capacity.copy()
-        before.pull = None  # what touches is written anew before it is read, and takes most of the memory
-        self._regrow("pairs", used, self.capacity, wanted)
-        self.links = make_links(self)
-        if self.parallel:
-            carry_links(before, old, self.links, self.capacity)
-
-    def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Room for at least `wanted` mesh candidates a scene."""
-        self._regrow("candidates", ["face"], self.face_capacity, wanted)
-
-    def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
-        old = np.concatenate([[0], np.cumsum(capacity)])
-        grown = wanted > capacity
-        capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        new = np.concatenate([[0], np.cumsum(capacity)])
-        # What a GPU's links give, each two entries, has four rows at most.
-        most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
-        if new[-1] > most:
-            raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
-        for name in names:
-            before = getattr(getattr(self, struct), name)
-            after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
-            for s, state in enumerate(self.states):
-                kept = int(old[s + 1] - old[s])
-                if kept:
-                    wp.copy(after, before, int(new[s]), int(old[s]), kept)
-                view = after
-                if self.count > 1:
-                    empty = new[s] == new[s + 1]  # Warp slices none out of nothing
-                    view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
-                setattr(getattr(state, struct), name, view)
-            setattr(getattr(self, struct), name, after)
-        self._place_pairs()
-        self.invalidate_graphs()
 
     # Chunks of a CPU's threads.
 

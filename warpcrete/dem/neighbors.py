@@ -19,8 +19,9 @@ from ..kernels.dem.lists import list_kernels, transfer_kernel
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import full_search_kernels, half_search_kernel
 from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
-from .batch import MAXIMUM_ENTRIES, Batch
+from .batch import Batch
 from .cells import Cells
+from .joint import MAXIMUM_ENTRIES
 from .links import rows_of
 from .stages import MANY, near_stages, tasks
 from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes

@@ -72,6 +72,7 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
+        self._launched: Any = None  # the batch of what was launched last
         self.stop: KeyboardInterrupt | None = None
 
     @property
@@ -85,13 +86,9 @@ class _Drive:
         return {number: member.result for number, member in self._members.items()}
 
     @property
-    def _batch(self) -> Any:
-        return self.waiting[0].stepper.batch
-
-    @property
     def settled(self) -> bool:
         """Whether the device has done what was launched."""
-        return self._batch.settled
+        return self._launched.settled
 
     def begin(self, stop: KeyboardInterrupt | None) -> None:
         """All coroutines up to where they want to go first, or, after an interruption, to their ends."""
@@ -139,17 +136,19 @@ class _Drive:
                     self._go_on(member, self.stop)
 
     def _launch(self) -> None:
+        steppers = [member.stepper for member in self.waiting]
         if self._regroup is not None:
             with put_off():
-                self._regroup([member.stepper for member in self.waiting])
-        batch, stepper = self._batch, self.waiting[0].stepper
+                self._regroup(steppers)
+        stepper = steppers[0]
+        self._launched = batch = stepper.batch
         if not batch.has_step:
             batch.use_step(step_stages(batch), stepper.stable_step.by_device() if batch.parallel else None)
         batch.launch()
 
     def _look(self) -> None:
-        waiting, stepper = self.waiting, self.waiting[0].stepper
-        flags = self._batch.settle()
+        waiting, flags = self.waiting, self._launched.settle()
+        stepper = waiting[0].stepper
         for member in waiting:
             if (error := member.stepper.trouble(flags[member.stepper.index])) is not None:
                 self._go_on(member, error)

@@ -10,10 +10,9 @@ import warp as wp
 
 from ..core.launching import Stage, at_once
 from ..geometry.walls import Driven
+from ..kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from ..kernels.dem.stable_step import (
-    ESTIMATE_LANES,
     begin_kernel,
-    gather_kernel,
     keep_kernel,
     reduce_kernel,
     settle_kernel,
