@@ -20,6 +20,36 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6
 """Part of a step that may be missing where a scene has got to its time."""
+ARRIVE = """
+#if defined(__CUDA_ARCH__)
+    __shared__ bool last;
+    __syncthreads();
+    if (threadIdx.x == 0) {
+        __threadfence();
+        last = atomicInc((unsigned*)arrivals.data, parties - 1) == parties - 1;  // counts from 0 again then
+        __threadfence();
+    }
+    __syncthreads();
+    return last;
+#else
+    arrivals.data[0] = (arrivals.data[0] + 1) % parties;
+    return arrivals.data[0] == 0;
+#endif
+"""
+BLOCK_THREAD = """
+#if defined(__CUDA_ARCH__)
+    return threadIdx.x;
+#else
+    return 0;
+#endif
+"""
+BLOCK_THREADS = """
+#if defined(__CUDA_ARCH__)
+    return blockDim.x;
+#else
+    return 1;
+#endif
+"""
 
 
 @functools.cache
@@ -44,13 +74,12 @@ def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64,
 
 
 @functools.cache
-def clock_kernel(scalar, growth: bool):
-    """One thread a scene: complete the step (time, step count, growth), and halt the scene where it must wait."""
+def completing_function(scalar, growth: bool):
+    """`complete`: ends the step of a scene (time, step count, growth), and halts the scene where it must wait."""
     Scenes = array_structs(scalar).Scenes
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
-        s = wp.tid()
+    @wp.func
+    def complete(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, s: wp.int32):
         # Nothing else happens on a GPU while this thread waits for memory: it asks for all that it needs at once.
         halted = wp.int32(flags[s, HALTED])
         failed = wp.int32(flags[s, FAILED])
@@ -60,29 +89,78 @@ def clock_kernel(scalar, growth: bool):
         beyond_goal = steps - flags[s, GOAL]
         beyond_estimate = steps - flags[s, ESTIMATED] - scenes.row[s].interval
         until = scenes.row[s].until
+        sort_every = scenes.row[s].sort_every
         dt = wp.float64(scenes.clock[s, DT])
         time = scenes.clock[s, TIME] + dt
         since = scenes.clock[s, SINCE_BUILD] + dt
-        if halted != 0:
-            return
-        if failed != 0:
+        if halted == 0 and failed != 0:
             flags[s, HALTED] = WAITS
-            return
-        scenes.clock[s, TIME] = time
-        scenes.clock[s, DT_PREVIOUS] = dt
-        scenes.clock[s, SINCE_BUILD] = since
-        flags[s, STEPS] = steps
-        if wp.static(growth):
-            scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        if late != 0:
-            flags[s, LATE] = 0
-            flags[s, STALE] = 1
-            halted = WAITS
-        if overflow != 0:
-            halted = WAITS
-        elif is_there(beyond_goal, beyond_estimate, until - time, dt):
-            halted = ARRIVED
-        if halted != 0:
-            flags[s, HALTED] = halted
+        elif halted == 0:
+            scenes.clock[s, TIME] = time
+            scenes.clock[s, DT_PREVIOUS] = dt
+            scenes.clock[s, SINCE_BUILD] = since
+            flags[s, STEPS] = steps
+            if wp.static(growth):
+                scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
+            # Bodies are sorted with lists that are new for that: after so many steps, whenever lists are built else.
+            if late != 0 or (sort_every > 0 and steps % sort_every == 0):
+                flags[s, LATE] = 0
+                flags[s, STALE] = 1
+                halted = WAITS
+            if overflow != 0:
+                halted = WAITS
+            elif is_there(beyond_goal, beyond_estimate, until - time, dt):
+                halted = ARRIVED
+            if halted != 0:
+                flags[s, HALTED] = halted
+
+    return complete
+
+
+@functools.cache
+def clock_kernel(scalar, growth: bool):
+    """One thread a scene: complete the step."""
+    Scenes = array_structs(scalar).Scenes
+    complete = completing_function(scalar, growth)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
+        complete(flags, scenes, wp.tid())
 
     return advance_clock
+
+
+@wp.func_native(ARRIVE)
+def comes_last(arrivals: wp.array(dtype=wp.int32), parties: wp.int32) -> wp.bool:
+    """Whether this block is the last of so many to come here, and what all others wrote can be read; all threads of a
+    block must call."""
+
+
+@wp.func_native(BLOCK_THREAD)
+def block_thread() -> wp.int32: ...
+
+
+@wp.func_native(BLOCK_THREADS)
+def block_threads() -> wp.int32: ...
+
+
+@functools.cache
+def ending_function(scalar, growth: bool, ends: bool):
+    """`end_step`: on a GPU the last block of a step completes it, of all kernels that call: to launch that by itself
+    took longer than it takes. Without `ends` it does nothing, where something else comes after.
+
+    All threads of a block must call, and tasks are whole blocks.
+    """
+    Scenes = array_structs(scalar).Scenes
+    complete = completing_function(scalar, growth)
+
+    @wp.func
+    def end_step(
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, arrivals: wp.array(dtype=wp.int32), parties: wp.int32
+    ):
+        if wp.static(ends):
+            if comes_last(arrivals, parties):
+                for s in range(block_thread(), flags.shape[0], block_threads()):
+                    complete(flags, scenes, s)
+
+    return end_step

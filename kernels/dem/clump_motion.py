@@ -7,9 +7,11 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions, warp_functions
+from .clock import ending_function
+from .links import pull_functions
 from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
+from .warps import warp_functions
 
 
 @functools.cache
@@ -108,7 +110,7 @@ def carry_function(scalar, meshes: bool, half: bool):
 @functools.cache
 def clump_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, rows: int,
-    width: int,
+    width: int, ends: bool,
 ):  # fmt: skip
     """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
@@ -118,7 +120,8 @@ def clump_kernel(
     time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps.
+    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps. See
+    :func:`clock.ending_function` for `ends`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -129,17 +132,19 @@ def clump_kernel(
     motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
+    end_step = ending_function(scalar, growth, ends)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
         # model
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # chunk
-        first: wp.int32, last: wp.int32, lane_bits: wp.int32,
+        first: wp.int32, last: wp.int32, lane_bits: wp.int32, parties: wp.int32,
         # state, read
         scenes: Scenes, pairs: Pairs,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
+        arrivals: wp.array(dtype=wp.int32),
     ):  # fmt: skip
         lanes = 1 << lane_bits
         lane, stride = wp.int32(0), wp.int32(1)
@@ -223,5 +228,6 @@ def clump_kernel(
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
             for i in range(begin + lane, end, stride):
                 carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass)
+        end_step(flags, scenes, arrivals, parties)
 
     return move_clumps

@@ -21,9 +21,7 @@ from .contacts import contact_options
 from .linking import BITS, MORE, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
-
-WARP = 32
-"""Threads of a warp."""
+from .warps import warp_functions
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
@@ -148,28 +146,6 @@ def pull_functions(scalar, count: int):
         return force, moment, lost
 
     return SimpleNamespace(pull=pull, part_pull=part_pull, pulled=pulled)
-
-
-@functools.cache
-def warp_functions(scalar, width: int) -> SimpleNamespace:
-    """What threads of a warp do together, all of them: `anywhere` (does something hold for any), `from_lane` (a number
-    that another has; `energy_from_lane` in double precision), `settle` (what any has read, others may now write)."""
-    alone = width == 1
-    taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
-
-    @wp.func_native("return holds;" if alone else "return __any_sync(0xffffffffu, holds);")
-    def anywhere(holds: wp.bool) -> wp.bool: ...
-
-    @wp.func_native(taken)
-    def from_lane(value: scalar, lane: wp.int32) -> scalar: ...
-
-    @wp.func_native(taken)
-    def energy_from_lane(value: wp.float64, lane: wp.int32) -> wp.float64: ...
-
-    @wp.func_native("" if alone else "__syncwarp();")
-    def settle(): ...
-
-    return SimpleNamespace(anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle)
 
 
 @functools.cache
@@ -329,12 +305,12 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 
 @functools.cache
 def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
-    """Kernel over spheres, in whole warps of `width` threads (1 on a CPU): force and moment of each by planes and
-    pipes, where it meets some. Meshes add theirs; what moves bodies takes them away."""
+    """Kernel over spheres, each with 2^`lane_bits` threads, in whole warps of `width` of them (1 on a CPU): force and
+    moment of each by planes and pipes, where it meets some. Meshes add theirs; what moves bodies takes them away."""
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
-    surface = analytic_wall_functions(scalar, law, False, dissipation, wear)
+    surface = analytic_wall_functions(scalar, law, False, dissipation, wear, width)
     Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
     anywhere = warp_functions(scalar, width).anywhere
     rows = row_functions(scalar)
@@ -347,6 +323,7 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
         segments: wp.array(dtype=Segment),
         # state, read
         last: wp.int32,
+        lane_bits: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         # state, read and written
@@ -354,17 +331,18 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
         slots: Slots,
         walls: Walls,
     ):
-        i = wp.min(wp.tid(), last - 1)
+        place = wp.tid() >> lane_bits
+        i = wp.min(place, last - 1)
         s = spheres.scene[i]
-        here = wp.tid() < last and flags[s, HALTED] == 0
+        here = place < last and flags[s, HALTED] == 0
         far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
         near = here and (not far or scenes.row[s].still == 0)
         if anywhere(near):
             force, moment, lost = on_walls(
-                i, scenes.row[s], near, far, wp.tid() % width, scalar(scenes.clock[s, DT_PREVIOUS]),
+                i, scenes.row[s], near, far, wp.tid() % width, 1 << lane_bits, scalar(scenes.clock[s, DT_PREVIOUS]),
                 scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
             )  # fmt: skip
-            if near:
+            if near and wp.tid() & ((1 << lane_bits) - 1) == 0:
                 if wp.static(dissipation):
                     spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
                 write_vec3(spheres.force, i, force)

@@ -6,17 +6,18 @@ import math
 from itertools import pairwise
 from typing import Any
 
-from ..core.launching import Stage, members
+from ..core.launching import BLOCK, Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
 from ..kernels.dem.clump_motion import clump_kernel
 from ..kernels.dem.contacts import contact_kernel
-from ..kernels.dem.links import WARP, link_kernel, surface_kernel
+from ..kernels.dem.links import link_kernel, surface_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
 from ..kernels.dem.wall_motion import advance_kernel
+from ..kernels.dem.warps import WARP
 from .batch import Batch
 from .links import rows_of
 
@@ -26,6 +27,8 @@ CHOSEN = 20
 """Steps after which near links are chosen anew: those from one estimate of the stable step to the next."""
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
+WALL_LANE_BITS = 3
+"""Of the number of a GPU's threads that share a sphere among planes and pipes, at most, where spheres are few."""
 LANE_BITS = 2
 """Of the number of a GPU's threads that share a clump, where there are few, or each link gives much to read."""
 
@@ -40,6 +43,12 @@ def warp_width(device: Any) -> int:
     return WARP if device.is_cuda else 1
 
 
+def whole_blocks(count: int, device: Any) -> int:
+    """The least number of whole blocks' tasks that is not less; blocks of a CPU are single tasks."""
+    block = BLOCK if device.is_cuda else 1
+    return -(-count // block) * block
+
+
 def step_stages(batch: Batch) -> list[list[Stage]]:
     """Stages of one step on the arrays that the batch holds now, a list for each thread."""
     if not batch.features.half_list:
@@ -52,7 +61,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         stages = _half_contacts(b, part, *spheres)
         stages += meet
         if part == 0 and f.walls:
-            stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count))
+            stages.append(_walls(b))
         stages.append(_motion(b, *bodies))
         stages += meet
         if f.subcycling:
@@ -86,22 +95,24 @@ def _full_step(batch: Batch) -> list[Stage]:
     stages = near_stages(b)
     if f.analytic:
         surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
-        stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
+        bits = _wall_bits(b)
+        stages.append(b.stage(surfaces, -(-(n << bits) // width) * width, last=n, lane_bits=bits, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
-    stages += [
-        b.stage(kernel, threads, threads=threads),
-        _motion(b, 0, b.body_count),
-    ]
+    stages.append(b.stage(kernel, threads, threads=threads))
+    # Where nothing comes between, the last block of both motions completes the step.
+    ends = not f.subcycling and b.structure is None and b.body_count > 0
+    stages.append(_motion(b, 0, b.body_count, ends=ends))
     if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
-    stages += [
-        *(b.subcycles.stages(0) if f.subcycling else ()),
-        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
-        *([b.structure.stage()] if b.structure is not None else []),
-    ]
+        stages.append(_walls(b, ends=ends, beside=True))
+    if not ends:
+        stages += [
+            *(b.subcycles.stages(0) if f.subcycling else ()),
+            b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+            *([b.structure.stage()] if b.structure is not None else []),
+        ]
     return stages
 
 
@@ -125,21 +136,51 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = Fa
     return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
 
 
-def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Motion of a chunk of bodies, when all forces are there."""
+def _walls(batch: Batch, *, ends: bool = False, beside: bool = False) -> Stage:
+    """Motion of walls."""
     b, f = batch, batch.features
-    named: dict[str, Any] = {"first": first, "last": last}
+    kernel = advance_kernel(b.scalar, f.strokes, f.growth, ends)
+    count = whole_blocks(b.wall_count, b.device) if ends else b.wall_count
+    return b.stage(kernel, count, beside=beside, parties=_parties(b) if ends else 0)
+
+
+def _motion(batch: Batch, first: int, last: int, *, ends: bool = False) -> Stage:
+    """Motion of a chunk of bodies, when all forces are there, which `ends` the step or not."""
+    b, f = batch, batch.features
+    named: dict[str, Any] = {"first": first, "last": last, "parties": _parties(b) if ends else 0}
     rows = 0 if f.half_list else rows_of(f)
-    count = tasks(b, last - first)
+    count = _movers(b, last - first)
     if f.clumps:
-        width = warp_width(b.device)
         kernel = clump_kernel(
-            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
-        )
-        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY or rows > 2) else 0
-        if not f.half_list:
-            count = -(-(count << bits) // width) * width
-        named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
+            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows,
+            warp_width(b.device), ends,
+        )  # fmt: skip
+        named |= {"subcycled": b.subcycles.arrays, "lane_bits": _lane_bits(b)}
     else:
-        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
+        kernel = sphere_kernel(
+            b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows, ends
+        )
     return b.stage(kernel, count, meets=True, **named)
+
+
+def _lane_bits(batch: Batch) -> int:
+    many = batch.sphere_count >= MANY and rows_of(batch.features) == 2
+    return LANE_BITS if batch.features.clumps and warp_width(batch.device) > 1 and not many else 0
+
+
+def _wall_bits(batch: Batch) -> int:
+    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn, where spheres are few."""
+    few = warp_width(batch.device) > 1 and batch.sphere_count < MANY
+    return min((int(batch.rows["analytic"].max()) - 1).bit_length(), WALL_LANE_BITS) if few else 0
+
+
+def _movers(batch: Batch, bodies: int) -> int:
+    """Tasks that move so many bodies: of a GPU whole blocks."""
+    count = tasks(batch, bodies)
+    return count if batch.features.half_list else whole_blocks(count << _lane_bits(batch), batch.device)
+
+
+def _parties(batch: Batch) -> int:
+    """Blocks of a GPU that move something; with those of one task, tasks."""
+    walls = whole_blocks(batch.wall_count, batch.device) if batch.features.walls else 0
+    return (_movers(batch, batch.body_count) + walls) // whole_blocks(1, batch.device)
