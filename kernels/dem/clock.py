@@ -20,36 +20,6 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6
 """Part of a step that may be missing where a scene has got to its time."""
-ARRIVE = """
-#if defined(__CUDA_ARCH__)
-    __shared__ bool last;
-    __syncthreads();
-    if (threadIdx.x == 0) {
-        __threadfence();
-        last = atomicInc((unsigned*)arrivals.data, parties - 1) == parties - 1;  // counts from 0 again then
-        __threadfence();
-    }
-    __syncthreads();
-    return last;
-#else
-    arrivals.data[0] = (arrivals.data[0] + 1) % parties;
-    return arrivals.data[0] == 0;
-#endif
-"""
-BLOCK_THREAD = """
-#if defined(__CUDA_ARCH__)
-    return threadIdx.x;
-#else
-    return 0;
-#endif
-"""
-BLOCK_THREADS = """
-#if defined(__CUDA_ARCH__)
-    return blockDim.x;
-#else
-    return 1;
-#endif
-"""
 
 
 @functools.cache
@@ -128,39 +98,3 @@ def clock_kernel(scalar, growth: bool):
         complete(flags, scenes, wp.tid())
 
     return advance_clock
-
-
-@wp.func_native(ARRIVE)
-def comes_last(arrivals: wp.array(dtype=wp.int32), parties: wp.int32) -> wp.bool:
-    """Whether this block is the last of so many to come here, and what all others wrote can be read; all threads of a
-    block must call."""
-
-
-@wp.func_native(BLOCK_THREAD)
-def block_thread() -> wp.int32: ...
-
-
-@wp.func_native(BLOCK_THREADS)
-def block_threads() -> wp.int32: ...
-
-
-@functools.cache
-def ending_function(scalar, growth: bool, ends: bool):
-    """`end_step`: on a GPU the last block of a step completes it, of all kernels that call: to launch that by itself
-    took longer than it takes. Without `ends` it does nothing, where something else comes after.
-
-    All threads of a block must call, and tasks are whole blocks.
-    """
-    Scenes = array_structs(scalar).Scenes
-    complete = completing_function(scalar, growth)
-
-    @wp.func
-    def end_step(
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, arrivals: wp.array(dtype=wp.int32), parties: wp.int32
-    ):
-        if wp.static(ends):
-            if comes_last(arrivals, parties):
-                for s in range(block_thread(), flags.shape[0], block_threads()):
-                    complete(flags, scenes, s)
-
-    return end_step

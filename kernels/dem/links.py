@@ -2,8 +2,7 @@
 
 Lists hold every pair at both spheres; a *link* is a pair once. A step looks at those that are `near`: most links of a
 list do not touch. What a link gives is added up for each of its spheres in the order of the list, by the kernel that
-moves bodies: forces need no atomic, and bits depend on no order of threads. Planes and pipes have a kernel of their
-own, a thread a sphere, which runs beside.
+moves bodies: forces need no atomic, and bits depend on no order of threads. See :mod:`surfaces` for planes and pipes.
 """
 
 import functools
@@ -14,14 +13,12 @@ import warp as wp
 from ..common.control import HALTED
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .analytic_walls import analytic_wall_functions
 from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .contacts import contact_options
 from .linking import BITS, MORE, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
-from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
-from .warps import warp_functions
+from .structs import DT_PREVIOUS, array_structs, links_struct
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
@@ -304,61 +301,13 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 
 
 @functools.cache
-def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
-    """Kernel over spheres, each with 2^`lane_bits` threads, in whole warps of `width` of them (1 on a CPU): force and
-    moment of each by planes and pipes, where it meets some. Meshes add theirs; what moves bodies takes them away."""
-    structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
-    Parameters = law.functions(scalar).Parameters
-    surface = analytic_wall_functions(scalar, law, False, dissipation, wear, width)
-    Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
-    anywhere = warp_functions(scalar, width).anywhere
-    rows = row_functions(scalar)
-    read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
-    def surface_contacts(
-        # model
-        wall_parameters: wp.array(dtype=Parameters),
-        segments: wp.array(dtype=Segment),
-        # state, read
-        last: wp.int32,
-        lane_bits: wp.int32,
-        flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
-        # state, read and written
-        spheres: Spheres,
-        slots: Slots,
-        walls: Walls,
-    ):
-        place = wp.tid() >> lane_bits
-        i = wp.min(place, last - 1)
-        s = spheres.scene[i]
-        here = place < last and flags[s, HALTED] == 0
-        far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
-        near = here and (not far or scenes.row[s].still == 0)
-        if anywhere(near):
-            force, moment, lost = on_walls(
-                i, scenes.row[s], near, far, wp.tid() % width, 1 << lane_bits, scalar(scenes.clock[s, DT_PREVIOUS]),
-                scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
-            )  # fmt: skip
-            if near and wp.tid() & ((1 << lane_bits) - 1) == 0:
-                if wp.static(dissipation):
-                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
-                write_vec3(spheres.force, i, force)
-                write_vec3(spheres.moment, i, moment)
-
-    return surface_contacts
-
-
-@functools.cache
-def link_kernel(
+def link_function(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Kernel over links: contacts of those that touch.
+    """`meet_spheres`: contacts of links that touch, by a `thread` of so many `threads`.
 
-    Each of its threads, of which there are `threads`, takes a near link, and one more for so many as there are; then
-    links of scenes whose near ones may miss a contact.
+    Each takes a near link, and one more for so many as there are; then links of scenes whose near ones may miss a
+    contact.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -369,25 +318,17 @@ def link_kernel(
     evaluate = link_functions(scalar, law, history, bonds, healing, dissipation, mixed)
     read_vec4 = row_functions(scalar).read_vec4
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
-    def link_contacts(
-        # model
-        pair_parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond),
-        # state, read
-        threads: wp.int32,
-        flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
-        # state, read and written
-        spheres: Spheres,
-        pairs: Pairs,
-        links: Links,
-    ):
+    @wp.func
+    def meet_spheres(
+        thread: wp.int32, threads: wp.int32, pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres,
+        pairs: Pairs, links: Links,
+    ):  # fmt: skip
         near = links.near_count[0]
         count = near
         if links.near_count[1] != 0:
             count += links.link.shape[0]
-        for q in range(wp.tid(), count, threads):
+        for q in range(thread, count, threads):
             ends = wp.vec4i(0, 0, 0, 0)
             if q < near:
                 ends = links.near[q]
@@ -407,5 +348,35 @@ def link_kernel(
                 evaluate(
                     scenes, spheres, pairs, links, pair_parameters, bond_parameters, s, ends, position_i, position_j
                 )
+
+    return meet_spheres
+
+
+@functools.cache
+def link_kernel(
+    scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
+):
+    """Kernel over so many `threads`: see :func:`link_function`."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Links = links_struct(scalar)
+    Parameters, Bond = law.functions(scalar).Parameters, bond_functions(scalar).Bond
+    meet_spheres = link_function(scalar, law, history, bonds, healing, subcycling, dissipation, mixed)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def link_contacts(
+        # model
+        pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        # state, read
+        threads: wp.int32,
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        pairs: Pairs,
+        links: Links,
+    ):
+        meet_spheres(wp.tid(), threads, pair_parameters, bond_parameters, flags, scenes, spheres, pairs, links)
 
     return link_contacts

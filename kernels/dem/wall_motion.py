@@ -7,7 +7,6 @@ import warp as wp
 from ..common.control import FAILED, HALTED, LATE
 from ..common.types import types
 from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
-from .clock import ending_function
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
 SPEED_LIMIT = 1.0e4  # [m/s]; nothing that is pumped or dropped comes near
@@ -163,28 +162,20 @@ def advance_function(scalar, strokes: bool):
 
 
 @functools.cache
-def advance_kernel(scalar, strokes: bool, growth: bool, ends: bool):
-    """One thread a wall, in whole blocks: collect the step's forces, move to the next time. With `strokes` some wall
-    may stop; see :func:`clock.ending_function` for `ends`.
-    """
+def advance_kernel(scalar, strokes: bool):
+    """One thread a wall: collect the step's forces, move to the next time. With `strokes` some wall may stop."""
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
     advance = advance_function(scalar, strokes)
-    end_step = ending_function(scalar, growth, ends)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
-        # model
-        parties: wp.int32,
+        # state, read
+        scenes: Scenes,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
         walls: Walls,
-        arrivals: wp.array(dtype=wp.int32),
     ):
-        w = wp.tid()
-        if w < walls.scene.shape[0]:
-            advance(scenes, flags, walls, w)
-        end_step(flags, scenes, arrivals, parties)
+        advance(scenes, flags, walls, wp.tid())
 
     return advance_walls

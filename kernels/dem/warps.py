@@ -51,3 +51,32 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
         anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle,
         bits_of_lanes=bits_of_lanes, least_of_lanes=least_of_lanes,
     )  # fmt: skip
+
+
+@functools.cache
+def group_functions(scalar, lanes: int) -> SimpleNamespace:
+    """Functions that so many `lanes` beside one another must call, a power of two, whatever the rest of their warp
+    does: `sum_of_group` of six numbers and `bits_of_group`, set in any."""
+    vec6 = wp.types.vector(6, scalar)
+    way = f"""
+#if defined(__CUDA_ARCH__)
+    const unsigned group = {hex((1 << lanes) - 1)}u << (threadIdx.x & {WARP - lanes});
+    for (int away = {lanes // 2}; away > 0; away /= 2) value %s __shfl_xor_sync(group, value, away);
+#endif
+    return value;
+"""
+
+    @wp.func_native(way % "+=")
+    def sum_of(value: scalar) -> scalar: ...
+
+    @wp.func_native(way % "|=")
+    def bits_of_group(value: wp.int32) -> wp.int32: ...
+
+    @wp.func
+    def sum_of_group(part: vec6):
+        total = vec6()
+        for c in range(6):
+            total[c] = sum_of(part[c])
+        return total
+
+    return SimpleNamespace(sum_of_group=sum_of_group, bits_of_group=bits_of_group)

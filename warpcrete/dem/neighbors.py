@@ -91,8 +91,7 @@ class NeighborLists:
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
         self._place = zeros(n if f.half_list else 0)
         self._wanted = zeros(batch.threads)
-        # Of a batch one scene or a few are searched at a time.
-        self._searchers = OCTANTS if batch.parallel and n < MANY * scenes else 1
+        self._searchers = self._searchers_for(n)
         self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
         self._boxes = zeros((batch.threads, 2), t.vec3)
         # The last is the longest row that could not be kept.
@@ -105,8 +104,12 @@ class NeighborLists:
         self._old = batch.structs.Pairs()
         self._old.start = zeros(n + scenes)
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
-        self._recorded: dict[bool, _Launches] = {}
+        self._recorded: dict[tuple[bool, int], _Launches] = {}
         self._version: tuple[int, ...] = ()
+
+    def _searchers_for(self, spheres: int) -> int:
+        """Threads for each of so many spheres that are searched for at a time."""
+        return OCTANTS if self.batch.parallel and spheres < MANY else 1
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is marked stale."""
@@ -125,6 +128,7 @@ class NeighborLists:
         if sort:
             self._sort(due)
         self.builds[stale] += 1
+        self._searchers = self._searchers_for(int(b.rows["sphere_count"][stale].sum()))
         self._keep_old(np.flatnonzero(stale))
         width = self._cells.width()
         self._cells.fit(width, due)
@@ -232,11 +236,16 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         each = self._launches(False)
+        few = []
+        if b.parallel and self._searchers == 1 and b.count > 1:  # one or some of the scenes may be few
+            self._searchers = OCTANTS
+            few = [*self._launches(False).search, *self._launches(False).fill]
+            self._searchers = 1
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
         return [
-            each.centres, each.starts, each.drift, each.clear_stale, *each.search, *each.fill, *each.transfer,
+            each.centres, each.starts, each.drift, each.clear_stale, *few, *each.search, *each.fill, *each.transfer,
             *each.links, *each.near, *each.faces, *stretch, invert, *order,
             *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
@@ -296,9 +305,10 @@ class NeighborLists:
         if self._version != version:
             self._recorded.clear()
             self._version = version
-        if sorted_now not in self._recorded:
-            self._recorded[sorted_now] = self._record(sorted_now)
-        return self._recorded[sorted_now]
+        key = sorted_now, self._searchers
+        if key not in self._recorded:
+            self._recorded[key] = self._record(sorted_now)
+        return self._recorded[key]
 
     def _record(self, sorted_now: bool) -> _Launches:
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
@@ -324,10 +334,10 @@ class NeighborLists:
             ]  # fmt: skip
             fill = []
         else:
-            kernels = full_search_kernels(b.scalar, f.bonds, self._searchers)
+            search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, self._searchers)
             finds = {"count": self._count, "finds": self._finds, "new_place": new_place, **cells, **before}
-            search = [b.stage(kernels[0], n * self._searchers, total=self._total, **finds)]
-            fill = [b.stage(kernels[1], n * self._searchers, **finds)]
+            search = [b.stage(search_kernel, n * self._searchers, total=self._total, **finds)]
+            fill = [b.stage(fill_kernel, n * self._searchers, **finds)]
 
         def starts(start: wp.array, total: wp.array) -> Stage:
             return b.stage(lists.starts, n + b.count, scanned=self._scanned, start=start, total=total)

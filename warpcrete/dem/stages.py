@@ -12,10 +12,11 @@ from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
 from ..kernels.dem.clump_motion import clump_kernel
 from ..kernels.dem.contacts import contact_kernel
-from ..kernels.dem.links import link_kernel, surface_kernel
+from ..kernels.dem.links import link_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
+from ..kernels.dem.surfaces import meeting_kernel, surface_kernel
 from ..kernels.dem.wall_motion import advance_kernel
 from ..kernels.dem.warps import WARP
 from .batch import Batch
@@ -61,7 +62,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         stages = _half_contacts(b, part, *spheres)
         stages += meet
         if part == 0 and f.walls:
-            stages.append(_walls(b))
+            stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count))
         stages.append(_motion(b, *bodies))
         stages += meet
         if f.subcycling:
@@ -89,31 +90,47 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Stages of a GPU: walls' contacts beside those of spheres, and walls' own motion beside that of bodies."""
+    """Stages of a GPU. Where spheres are few these are two kernels, one after the other: all contacts, all motion.
+    Where they are many walls' contacts go beside those of spheres, and walls' own motion beside that of bodies."""
+    b, f = batch, batch.features
+    few = b.sphere_count < MANY
+    stages = [*near_stages(b), *_full_contacts(b, few)]
+    # Something may come between motion and the end of the step.
+    ends = few and not f.subcycling and b.structure is None and b.body_count > 0
+    stages.append(_motion(b, 0, b.body_count, ends=ends))
+    if ends:
+        return stages
+    if f.walls:
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
+    return [
+        *stages,
+        *(b.subcycles.stages(0) if f.subcycling else ()),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+        *([b.structure.stage()] if b.structure is not None else []),
+    ]
+
+
+def _full_contacts(batch: Batch, few: bool) -> list[Stage]:
+    """Contacts of a GPU's spheres with each other, and with planes and pipes."""
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
-    stages = near_stages(b)
+    pairs = (b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
+    # One at least where there is a pair.
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width
+    links = b.stage(link_kernel(*pairs), threads, threads=threads)
+    bits = _wall_bits(b) if few else 0
+    wall_threads = whole_blocks(n << bits, b.device)
+    walls = {"count": n, "lane_bits": bits}
+    if few and f.analytic and not f.meshes:
+        kernel = meeting_kernel(*pairs[:2], f.wall_law, *pairs[2:], f.wear, width)
+        return [b.stage(kernel, wall_threads + threads, wall_threads=wall_threads, threads=threads, **walls)]
+    stages = []
     if f.analytic:
-        surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
-        bits = _wall_bits(b)
-        stages.append(b.stage(surfaces, -(-(n << bits) // width) * width, last=n, lane_bits=bits, beside=True))
-    if f.meshes:
+        kernel = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
+        stages.append(b.stage(kernel, wall_threads, beside=True, **walls))
+    if f.meshes:  # which add to what surfaces give
         stages.append(_meshes(b, 0, 0, n, beside=True))
-    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
-    stages.append(b.stage(kernel, threads, threads=threads))
-    # Where nothing comes between, the last block of both motions completes the step.
-    ends = not f.subcycling and b.structure is None and b.body_count > 0
-    stages.append(_motion(b, 0, b.body_count, ends=ends))
-    if f.walls:
-        stages.append(_walls(b, ends=ends, beside=True))
-    if not ends:
-        stages += [
-            *(b.subcycles.stages(0) if f.subcycling else ()),
-            b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
-            *([b.structure.stage()] if b.structure is not None else []),
-        ]
-    return stages
+    return [*stages, links]
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
@@ -136,31 +153,28 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = Fa
     return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
 
 
-def _walls(batch: Batch, *, ends: bool = False, beside: bool = False) -> Stage:
-    """Motion of walls."""
-    b, f = batch, batch.features
-    kernel = advance_kernel(b.scalar, f.strokes, f.growth, ends)
-    count = whole_blocks(b.wall_count, b.device) if ends else b.wall_count
-    return b.stage(kernel, count, beside=beside, parties=_parties(b) if ends else 0)
-
-
 def _motion(batch: Batch, first: int, last: int, *, ends: bool = False) -> Stage:
-    """Motion of a chunk of bodies, when all forces are there, which `ends` the step or not."""
+    """Motion of a chunk of bodies, when all forces are there; of walls, too, if that `ends` the step."""
     b, f = batch, batch.features
-    named: dict[str, Any] = {"first": first, "last": last, "parties": _parties(b) if ends else 0}
+    wall_threads = whole_blocks(b.wall_count, b.device) if ends and f.walls else 0
     rows = 0 if f.half_list else rows_of(f)
-    count = _movers(b, last - first)
+    bits = _lane_bits(b)
+    count = tasks(b, last - first)
+    if not f.half_list:
+        count = whole_blocks(count << bits, b.device)
+    named: dict[str, Any] = {"first": first, "last": last, "wall_threads": wall_threads}
+    named["parties"] = (count + wall_threads) // whole_blocks(1, b.device)
     if f.clumps:
         kernel = clump_kernel(
             b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows,
-            warp_width(b.device), ends,
+            warp_width(b.device), f.strokes, ends,
         )  # fmt: skip
-        named |= {"subcycled": b.subcycles.arrays, "lane_bits": _lane_bits(b)}
+        named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
         kernel = sphere_kernel(
-            b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows, ends
+            b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows, f.strokes, ends
         )
-    return b.stage(kernel, count, meets=True, **named)
+    return b.stage(kernel, count + wall_threads, meets=True, **named)
 
 
 def _lane_bits(batch: Batch) -> int:
@@ -169,18 +183,6 @@ def _lane_bits(batch: Batch) -> int:
 
 
 def _wall_bits(batch: Batch) -> int:
-    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn, where spheres are few."""
-    few = warp_width(batch.device) > 1 and batch.sphere_count < MANY
-    return min((int(batch.rows["analytic"].max()) - 1).bit_length(), WALL_LANE_BITS) if few else 0
-
-
-def _movers(batch: Batch, bodies: int) -> int:
-    """Tasks that move so many bodies: of a GPU whole blocks."""
-    count = tasks(batch, bodies)
-    return count if batch.features.half_list else whole_blocks(count << _lane_bits(batch), batch.device)
-
-
-def _parties(batch: Batch) -> int:
-    """Blocks of a GPU that move something; with those of one task, tasks."""
-    walls = whole_blocks(batch.wall_count, batch.device) if batch.features.walls else 0
-    return (_movers(batch, batch.body_count) + walls) // whole_blocks(1, batch.device)
+    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
+    most = int(batch.rows["analytic"].max())
+    return min((most - 1).bit_length(), WALL_LANE_BITS) if warp_width(batch.device) > 1 else 0
