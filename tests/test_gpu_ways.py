@@ -34,7 +34,7 @@ from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
 from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
-from warpcrete.kernels.dem.surfaces import meeting_kernel, surface_kernel
+from warpcrete.kernels.dem.surfaces import surface_kernel
 from warpcrete.kernels.dem.warps import WARP
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
@@ -324,9 +324,8 @@ def kernels_of_a_step(pick):
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
                 gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
-                clump_kernel(batch.scalar, True, True, True, False, True, True, 4, WARP, True, True),
+                clump_kernel(batch.scalar, True, True, True, False, True, True, 4, WARP),
                 surface_kernel(batch.scalar, wall_law, True, False, WARP),
-                meeting_kernel(batch.scalar, law, wall_law, True, True, True, False, True, True, False, WARP),
                 *body_kernels(batch.scalar, True, False, True),
                 pair_kernel(batch.scalar, law, False, True, True, True),
             ]

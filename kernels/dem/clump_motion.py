@@ -7,7 +7,7 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .ending import ending_functions
+from .ending import ending_function
 from .links import pull_functions
 from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
@@ -110,7 +110,7 @@ def carry_function(scalar, meshes: bool, half: bool):
 @functools.cache
 def clump_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, rows: int,
-    width: int, strokes: bool, ends: bool,
+    width: int,
 ):  # fmt: skip
     """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
@@ -120,49 +120,42 @@ def clump_kernel(
     time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps. With
-    `ends` its first threads, `wall_threads` in whole blocks, move the walls: see :mod:`ending`.
+    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps. See
+    :mod:`ending` for `parties`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Pairs, Walls = (
-        structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs, structs.Walls
-    )  # fmt: skip
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     turned, spin_at_middle = rotation_functions(scalar)
     gather, gather_abreast = gather_functions(scalar, dissipation, rows, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
     motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    ending = ending_functions(scalar, strokes, growth, ends)
-    move_walls, end_step = ending.move_walls, ending.end_step
+    end_step = ending_function(scalar, growth, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
         # model
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # chunk
-        first: wp.int32, last: wp.int32, lane_bits: wp.int32, wall_threads: wp.int32, parties: wp.int32,
+        first: wp.int32, last: wp.int32, lane_bits: wp.int32, parties: wp.int32,
         # state, read
         pairs: Pairs,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, bodies: Bodies, spheres: Spheres, links: Links,
-        subcycled: Subcycled, walls: Walls, arrivals: wp.array(dtype=wp.int32),
+        subcycled: Subcycled, arrivals: wp.array(dtype=wp.int32),
     ):  # fmt: skip
         lanes = 1 << lane_bits
-        task = wp.tid() - wall_threads
         lane, stride = wp.int32(0), wp.int32(1)
         begin_b, end_b = wp.int32(0), wp.int32(0)
         if wp.static(half):
-            begin_b = first + task * wp.static(SPAN)
+            begin_b = first + wp.tid() * wp.static(SPAN)
             end_b = wp.min(begin_b + wp.static(SPAN), last)
         else:
-            lane, stride = task & (lanes - 1), lanes
-            begin_b = task >> lane_bits
+            lane, stride = wp.tid() & (lanes - 1), lanes
+            begin_b = wp.tid() >> lane_bits
             end_b = begin_b + 1
-        if task < 0:
-            move_walls(wp.tid(), flags, scenes, walls)
-            end_b = begin_b
         for each in range(begin_b, end_b):
             b = wp.min(each, last - 1)
             scene = bodies.scene[b]

@@ -1,16 +1,15 @@
-"""The end of a step on a GPU where spheres are few: one kernel moves bodies and walls, and its last block completes it.
+"""The end of a step on a GPU where spheres are few: the last block of what moves bodies completes it.
 
-To launch what little walls and clocks take by themselves, beside or after, took longer than all that they do.
+To launch what little that takes by itself took longer. Where spheres are many it is a kernel of its own: for blocks to
+tell one another what they have done takes more than that.
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
 from .clock import completing_function
 from .structs import array_structs
-from .wall_motion import advance_function
 
 ARRIVE = """
 #if defined(__CUDA_ARCH__)
@@ -59,26 +58,20 @@ def block_threads() -> wp.int32: ...
 
 
 @functools.cache
-def ending_functions(scalar, strokes: bool, growth: bool, ends: bool):
-    """`move_walls` by as many threads, and `end_step`, which all threads must call when they are done, of so many
-    blocks (`parties`). Without `ends` neither does anything: what they do has kernels of its own."""
-    structs = array_structs(scalar)
-    Scenes, Walls = structs.Scenes, structs.Walls
-    advance, complete = advance_function(scalar, strokes), completing_function(scalar, growth)
-
-    @wp.func
-    def move_walls(thread: wp.int32, flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
-        if wp.static(ends):
-            if thread < walls.scene.shape[0]:
-                advance(scenes, flags, walls, thread)
+def ending_function(scalar, growth: bool, half: bool):
+    """`end_step`, which all threads of a kernel must call when they are done, of so many blocks (`parties`; 0: the end
+    is a kernel of its own, as it always is of half lists)."""
+    Scenes = array_structs(scalar).Scenes
+    complete = completing_function(scalar, growth)
 
     @wp.func
     def end_step(
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, arrivals: wp.array(dtype=wp.int32), parties: wp.int32
     ):
-        if wp.static(ends):
-            if comes_last(arrivals, parties):
-                for s in range(block_thread(), flags.shape[0], block_threads()):
-                    complete(flags, scenes, s)
+        if wp.static(not half):
+            if parties > 0:
+                if comes_last(arrivals, parties):
+                    for s in range(block_thread(), flags.shape[0], block_threads()):
+                        complete(flags, scenes, s)
 
-    return SimpleNamespace(move_walls=move_walls, end_step=end_step)
+    return end_step

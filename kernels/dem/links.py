@@ -301,13 +301,13 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 
 
 @functools.cache
-def link_function(
+def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """`meet_spheres`: contacts of links that touch, by a `thread` of so many `threads`.
+    """Kernel over links: contacts of those that touch.
 
-    Each takes a near link, and one more for so many as there are; then links of scenes whose near ones may miss a
-    contact.
+    Each of its threads, of which there are `threads`, takes a near link, and one more for so many as there are; then
+    links of scenes whose near ones may miss a contact.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -318,17 +318,25 @@ def link_function(
     evaluate = link_functions(scalar, law, history, bonds, healing, dissipation, mixed)
     read_vec4 = row_functions(scalar).read_vec4
 
-    @wp.func
-    def meet_spheres(
-        thread: wp.int32, threads: wp.int32, pair_parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres,
-        pairs: Pairs, links: Links,
-    ):  # fmt: skip
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def link_contacts(
+        # model
+        pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        # state, read
+        threads: wp.int32,
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        pairs: Pairs,
+        links: Links,
+    ):
         near = links.near_count[0]
         count = near
         if links.near_count[1] != 0:
             count += links.link.shape[0]
-        for q in range(thread, count, threads):
+        for q in range(wp.tid(), count, threads):
             ends = wp.vec4i(0, 0, 0, 0)
             if q < near:
                 ends = links.near[q]
@@ -348,35 +356,5 @@ def link_function(
                 evaluate(
                     scenes, spheres, pairs, links, pair_parameters, bond_parameters, s, ends, position_i, position_j
                 )
-
-    return meet_spheres
-
-
-@functools.cache
-def link_kernel(
-    scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
-):
-    """Kernel over so many `threads`: see :func:`link_function`."""
-    structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
-    Links = links_struct(scalar)
-    Parameters, Bond = law.functions(scalar).Parameters, bond_functions(scalar).Bond
-    meet_spheres = link_function(scalar, law, history, bonds, healing, subcycling, dissipation, mixed)
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
-    def link_contacts(
-        # model
-        pair_parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond),
-        # state, read
-        threads: wp.int32,
-        flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
-        # state, read and written
-        spheres: Spheres,
-        pairs: Pairs,
-        links: Links,
-    ):
-        meet_spheres(wp.tid(), threads, pair_parameters, bond_parameters, flags, scenes, spheres, pairs, links)
 
     return link_contacts

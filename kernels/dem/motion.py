@@ -9,7 +9,7 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .ending import ending_functions
+from .ending import ending_function
 from .links import pull_functions
 from .near import NEAR
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
@@ -209,21 +209,16 @@ def sphere_kernel(
     half: bool,
     dissipation: bool,
     rows: int,
-    strokes: bool,
-    ends: bool,
 ):
     """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
 
     The same step as `clump_kernel`, and of full lists the sums of `links`, of which each gives so many `rows`. What
-    bodies hold besides is written by `sync_kernel`, when somebody looks. With `ends` its first threads, `wall_threads`
-    in whole blocks, move the walls: see :mod:`ending`.
+    bodies hold besides is written by `sync_kernel`, when somebody looks. See :mod:`ending` for `parties`.
     """
     t = types(scalar)
     span = SPAN if half else 1
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Pairs, Walls = (
-        structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs, structs.Walls
-    )  # fmt: skip
+    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
@@ -234,8 +229,7 @@ def sphere_kernel(
     Links = links_struct(scalar)
     pulled = pull_functions(scalar, rows).pulled
     take_away = taking_function(scalar, half)
-    ending = ending_functions(scalar, strokes, growth, ends)
-    move_walls, end_step = ending.move_walls, ending.end_step
+    end_step = ending_function(scalar, growth, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
@@ -246,7 +240,6 @@ def sphere_kernel(
         # chunk
         first: wp.int32,
         last: wp.int32,
-        wall_threads: wp.int32,
         parties: wp.int32,
         # state, read
         pairs: Pairs,
@@ -256,14 +249,9 @@ def sphere_kernel(
         bodies: Bodies,
         spheres: Spheres,
         links: Links,
-        walls: Walls,
         arrivals: wp.array(dtype=wp.int32),
     ):
-        task = wp.tid() - wall_threads
-        begin_i = first + task * wp.static(span)
-        if task < 0:
-            move_walls(wp.tid(), flags, scenes, walls)
-            begin_i = last
+        begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
             s = spheres.scene[i]
             if flags[s, HALTED] != 0:

@@ -104,69 +104,12 @@ def motion_functions(scalar, strokes: bool):
 
 
 @functools.cache
-def advance_function(scalar, strokes: bool):
-    """`advance`: collects the forces of the step on a wall, and moves it to the next time."""
+def advance_kernel(scalar, strokes: bool):
+    """One thread a wall: collect the step's forces, move to the next time. With `strokes` some wall may stop."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
     follow, drive = motion_functions(scalar, strokes)
-
-    @wp.func
-    def advance(scenes: Scenes, flags: wp.array2d(dtype=wp.int32), walls: Walls, w: wp.int32):
-        s = walls.scene[w]
-        if flags[s, HALTED] != 0:
-            return
-        dt = scenes.clock[s, DT]
-        # Forces act from the middle of the step before to the middle of this one.
-        kick = wp.float64(0.5) * (dt + scenes.clock[s, DT_PREVIOUS])
-        motion = walls.table[w].motion
-        unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        f = wp.vec3d()
-        m = wp.vec3d()
-        for c in range(3):
-            push = wp.int64(0)
-            turn = wp.int64(0)
-            for part in range(walls.step_force.shape[0]):
-                push += walls.step_force[part, w, c]
-                turn += walls.step_force[part, w, c + 3]
-                walls.step_force[part, w, c] = wp.int64(0)
-                walls.step_force[part, w, c + 3] = wp.int64(0)
-            f[c] = unit * wp.float64(push)
-            m[c] = unit * wp.float64(turn)
-        walls.force[w] = f
-        walls.moment[w] = m
-        walls.impulse[w] = walls.impulse[w] + kick * f
-        walls.angular_impulse[w] = walls.angular_impulse[w] + kick * m
-        # Work done on the material, with the velocity of the middle of the step that ends here.
-        walls.work[w] = walls.work[w] - wp.float64(0.5) * scenes.clock[s, DT_PREVIOUS] * (
-            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
-        )
-        now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
-        if motion == PRESCRIBED and scenes.row[s].held == 0:
-            follow(walls, w, now, dt)
-        elif motion == DRIVEN and now >= wp.float64(0.0):
-            drive(scenes, s, f, kick, dt, flags, walls, w)
-        walls.position[w] = t.vec3(walls.position_exact[w])
-        walls.velocity[w] = t.vec3(walls.velocity_exact[w])
-        walls.work[w] = walls.work[w] - wp.float64(0.5) * dt * (
-            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
-        )
-        if walls.table[w].kind == MESH and motion != FIXED:
-            speed = wp.length(walls.velocity_exact[w])
-            speed += wp.length(wp.vec3d(walls.spin[w])) * walls.table[w].extent
-            walls.moved[w] = walls.moved[w] + dt * speed
-            if walls.moved[w] > wp.float64(0.5) * wp.float64(scenes.row[s].mesh_skin):
-                flags[s, LATE] = 1
-
-    return advance
-
-
-@functools.cache
-def advance_kernel(scalar, strokes: bool):
-    """One thread a wall: collect the step's forces, move to the next time. With `strokes` some wall may stop."""
-    structs = array_structs(scalar)
-    Scenes, Walls = structs.Scenes, structs.Walls
-    advance = advance_function(scalar, strokes)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
@@ -176,6 +119,48 @@ def advance_kernel(scalar, strokes: bool):
         flags: wp.array2d(dtype=wp.int32),
         walls: Walls,
     ):
-        advance(scenes, flags, walls, wp.tid())
+        w = wp.tid()
+        s = walls.scene[w]
+        if flags[s, HALTED] != 0:
+            return
+        dt, previous = wp.float64(scenes.clock[s, DT]), wp.float64(scenes.clock[s, DT_PREVIOUS])
+        kick = wp.float64(0.5) * (dt + previous)  # from the middle of the step before to the middle of this one
+        motion = walls.table[w].motion
+        unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
+        # All is asked for before anything is written: one after the other they keep what waits for walls waiting.
+        velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
+        impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
+        work = wp.float64(walls.work[w])
+        push = wp.vector(length=6, dtype=wp.int64)
+        for part in range(walls.step_force.shape[0]):
+            for c in range(6):
+                push[c] = push[c] + walls.step_force[part, w, c]
+        f = unit * wp.vec3d(wp.float64(push[0]), wp.float64(push[1]), wp.float64(push[2]))
+        m = unit * wp.vec3d(wp.float64(push[3]), wp.float64(push[4]), wp.float64(push[5]))
+        for part in range(walls.step_force.shape[0]):
+            for c in range(6):
+                walls.step_force[part, w, c] = wp.int64(0)
+        walls.force[w] = f
+        walls.moment[w] = m
+        walls.impulse[w] = impulse + kick * f
+        walls.angular_impulse[w] = angular_impulse + kick * m
+        # Work done on the material, with the velocity of the middle of the step that ends here.
+        work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
+        now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
+        if motion == PRESCRIBED and scenes.row[s].held == 0:
+            follow(walls, w, now, dt)
+        elif motion == DRIVEN and now >= wp.float64(0.0):
+            drive(scenes, s, f, kick, dt, flags, walls, w)
+        walls.position[w] = t.vec3(walls.position_exact[w])
+        walls.velocity[w] = t.vec3(walls.velocity_exact[w])
+        walls.work[w] = work - wp.float64(0.5) * dt * (
+            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
+        )
+        if walls.table[w].kind == MESH and motion != FIXED:
+            speed = wp.length(walls.velocity_exact[w])
+            speed += wp.length(wp.vec3d(walls.spin[w])) * walls.table[w].extent
+            walls.moved[w] = walls.moved[w] + dt * speed
+            if walls.moved[w] > wp.float64(0.5) * wp.float64(scenes.row[s].mesh_skin):
+                flags[s, LATE] = 1
 
     return advance_walls

@@ -16,7 +16,7 @@ from ..kernels.dem.links import link_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
-from ..kernels.dem.surfaces import meeting_kernel, surface_kernel
+from ..kernels.dem.surfaces import surface_kernel
 from ..kernels.dem.wall_motion import advance_kernel
 from ..kernels.dem.warps import WARP
 from .batch import Batch
@@ -90,47 +90,32 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Stages of a GPU. Where spheres are few these are two kernels, one after the other: all contacts, all motion.
-    Where they are many walls' contacts go beside those of spheres, and walls' own motion beside that of bodies."""
-    b, f = batch, batch.features
-    few = b.sphere_count < MANY
-    stages = [*near_stages(b), *_full_contacts(b, few)]
-    # Something may come between motion and the end of the step.
-    ends = few and not f.subcycling and b.structure is None and b.body_count > 0
-    stages.append(_motion(b, 0, b.body_count, ends=ends))
-    if ends:
-        return stages
+    """Stages of a GPU: all of walls, contacts and motion, beside contacts of spheres."""
+    b, f, n = batch, batch.features, batch.sphere_count
+    few = n < MANY
+    width = warp_width(b.device)
+    stages = near_stages(b)
+    if f.analytic:
+        bits = _wall_bits(b) if few else 0
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
+        threads = -(-(n << bits) // width) * width
+        stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, beside=True))
+    if f.meshes:
+        stages.append(_meshes(b, 0, 0, n, beside=True))
     if f.walls:
         stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
-    return [
-        *stages,
-        *(b.subcycles.stages(0) if f.subcycling else ()),
-        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
-        *([b.structure.stage()] if b.structure is not None else []),
-    ]
-
-
-def _full_contacts(batch: Batch, few: bool) -> list[Stage]:
-    """Contacts of a GPU's spheres with each other, and with planes and pipes."""
-    b, f, n = batch, batch.features, batch.sphere_count
-    width = warp_width(b.device)
-    pairs = (b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    # One at least where there is a pair.
-    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width
-    links = b.stage(link_kernel(*pairs), threads, threads=threads)
-    bits = _wall_bits(b) if few else 0
-    wall_threads = whole_blocks(n << bits, b.device)
-    walls = {"count": n, "lane_bits": bits}
-    if few and f.analytic and not f.meshes:
-        kernel = meeting_kernel(*pairs[:2], f.wall_law, *pairs[2:], f.wear, width)
-        return [b.stage(kernel, wall_threads + threads, wall_threads=wall_threads, threads=threads, **walls)]
-    stages = []
-    if f.analytic:
-        kernel = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
-        stages.append(b.stage(kernel, wall_threads, beside=True, **walls))
-    if f.meshes:  # which add to what surfaces give
-        stages.append(_meshes(b, 0, 0, n, beside=True))
-    return [*stages, links]
+    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
+    # Where spheres are few, and nothing comes between, motion's last block completes the step.
+    ends = few and not f.subcycling and b.structure is None and b.body_count > 0
+    stages += [b.stage(kernel, threads, threads=threads), _motion(b, 0, b.body_count, ends=ends)]
+    if not ends:
+        stages += [
+            *(b.subcycles.stages(0) if f.subcycling else ()),
+            b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+            *([b.structure.stage()] if b.structure is not None else []),
+        ]
+    return stages
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
@@ -154,27 +139,24 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = Fa
 
 
 def _motion(batch: Batch, first: int, last: int, *, ends: bool = False) -> Stage:
-    """Motion of a chunk of bodies, when all forces are there; of walls, too, if that `ends` the step."""
+    """Motion of a chunk of bodies, when all forces are there, which `ends` the step or not."""
     b, f = batch, batch.features
-    wall_threads = whole_blocks(b.wall_count, b.device) if ends and f.walls else 0
     rows = 0 if f.half_list else rows_of(f)
     bits = _lane_bits(b)
     count = tasks(b, last - first)
     if not f.half_list:
         count = whole_blocks(count << bits, b.device)
-    named: dict[str, Any] = {"first": first, "last": last, "wall_threads": wall_threads}
-    named["parties"] = (count + wall_threads) // whole_blocks(1, b.device)
+    named: dict[str, Any] = {"first": first, "last": last}
+    named["parties"] = count // whole_blocks(1, b.device) if ends else 0
     if f.clumps:
         kernel = clump_kernel(
             b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows,
-            warp_width(b.device), f.strokes, ends,
+            warp_width(b.device),
         )  # fmt: skip
         named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
-        kernel = sphere_kernel(
-            b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows, f.strokes, ends
-        )
-    return b.stage(kernel, count + wall_threads, meets=True, **named)
+        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
+    return b.stage(kernel, count, meets=True, **named)
 
 
 def _lane_bits(batch: Batch) -> int:
