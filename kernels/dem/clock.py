@@ -44,12 +44,13 @@ def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64,
 
 
 @functools.cache
-def completing_function(scalar, growth: bool):
-    """`complete`: ends the step of a scene (time, step count, growth), and halts the scene where it must wait."""
+def clock_kernel(scalar, growth: bool):
+    """One thread a scene: complete the step (time, step count, growth), and halt the scene where it must wait."""
     Scenes = array_structs(scalar).Scenes
 
-    @wp.func
-    def complete(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, s: wp.int32):
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
+    def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
+        s = wp.tid()
         # Nothing else happens on a GPU while this thread waits for memory: it asks for all that it needs at once.
         halted = wp.int32(flags[s, HALTED])
         failed = wp.int32(flags[s, FAILED])
@@ -63,38 +64,27 @@ def completing_function(scalar, growth: bool):
         dt = wp.float64(scenes.clock[s, DT])
         time = scenes.clock[s, TIME] + dt
         since = scenes.clock[s, SINCE_BUILD] + dt
-        if halted == 0 and failed != 0:
+        if halted != 0:
+            return
+        if failed != 0:
             flags[s, HALTED] = WAITS
-        elif halted == 0:
-            scenes.clock[s, TIME] = time
-            scenes.clock[s, DT_PREVIOUS] = dt
-            scenes.clock[s, SINCE_BUILD] = since
-            flags[s, STEPS] = steps
-            if wp.static(growth):
-                scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-            # Bodies are sorted with lists that are new for that: after so many steps, whenever lists are built else.
-            if late != 0 or (sort_every > 0 and steps % sort_every == 0):
-                flags[s, LATE] = 0
-                flags[s, STALE] = 1
-                halted = WAITS
-            if overflow != 0:
-                halted = WAITS
-            elif is_there(beyond_goal, beyond_estimate, until - time, dt):
-                halted = ARRIVED
-            if halted != 0:
-                flags[s, HALTED] = halted
-
-    return complete
-
-
-@functools.cache
-def clock_kernel(scalar, growth: bool):
-    """One thread a scene: complete the step."""
-    Scenes = array_structs(scalar).Scenes
-    complete = completing_function(scalar, growth)
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
-        complete(flags, scenes, wp.tid())
+            return
+        scenes.clock[s, TIME] = time
+        scenes.clock[s, DT_PREVIOUS] = dt
+        scenes.clock[s, SINCE_BUILD] = since
+        flags[s, STEPS] = steps
+        if wp.static(growth):
+            scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
+        # Bodies are sorted with lists that are new for that: after so many steps, whenever lists are built else.
+        if late != 0 or (sort_every > 0 and steps % sort_every == 0):
+            flags[s, LATE] = 0
+            flags[s, STALE] = 1
+            halted = WAITS
+        if overflow != 0:
+            halted = WAITS
+        elif is_there(beyond_goal, beyond_estimate, until - time, dt):
+            halted = ARRIVED
+        if halted != 0:
+            flags[s, HALTED] = halted
 
     return advance_clock

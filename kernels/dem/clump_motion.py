@@ -7,7 +7,6 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .ending import ending_function
 from .links import pull_functions
 from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
@@ -120,8 +119,7 @@ def clump_kernel(
     time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
 
     On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps. See
-    :mod:`ending` for `parties`.
+    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -132,19 +130,17 @@ def clump_kernel(
     motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    end_step = ending_function(scalar, growth, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
         # model
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # chunk
-        first: wp.int32, last: wp.int32, lane_bits: wp.int32, parties: wp.int32,
+        first: wp.int32, last: wp.int32, lane_bits: wp.int32,
         # state, read
-        pairs: Pairs,
+        scenes: Scenes, pairs: Pairs,
         # state, read and written
-        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, bodies: Bodies, spheres: Spheres, links: Links,
-        subcycled: Subcycled, arrivals: wp.array(dtype=wp.int32),
+        flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
     ):  # fmt: skip
         lanes = 1 << lane_bits
         lane, stride = wp.int32(0), wp.int32(1)
@@ -228,6 +224,5 @@ def clump_kernel(
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
             for i in range(begin + lane, end, stride):
                 carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass)
-        end_step(flags, scenes, arrivals, parties)
 
     return move_clumps

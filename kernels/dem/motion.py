@@ -9,7 +9,6 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .ending import ending_function
 from .links import pull_functions
 from .near import NEAR
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
@@ -201,25 +200,19 @@ def placing_function(scalar, meshes: bool, half: bool):
 
 @functools.cache
 def sphere_kernel(
-    scalar,
-    drives: bool,
-    growth: bool,
-    meshes: bool,
-    rotation: bool,
-    half: bool,
-    dissipation: bool,
-    rows: int,
+    scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
 ):
     """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
 
     The same step as `clump_kernel`, and of full lists the sums of `links`, of which each gives so many `rows`. What
-    bodies hold besides is written by `sync_kernel`, when somebody looks. See :mod:`ending` for `parties`.
+    bodies hold besides is written by `sync_kernel`, when somebody looks.
     """
     t = types(scalar)
     span = SPAN if half else 1
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
-    xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
+    xyz = vector_functions(scalar).xyz
+    pack = vector_functions(scalar).pack
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
@@ -229,7 +222,6 @@ def sphere_kernel(
     Links = links_struct(scalar)
     pulled = pull_functions(scalar, rows).pulled
     take_away = taking_function(scalar, half)
-    end_step = ending_function(scalar, growth, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
@@ -240,16 +232,14 @@ def sphere_kernel(
         # chunk
         first: wp.int32,
         last: wp.int32,
-        parties: wp.int32,
         # state, read
+        scenes: Scenes,
         pairs: Pairs,
         # state, read and written
         flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         links: Links,
-        arrivals: wp.array(dtype=wp.int32),
     ):
         begin_i = first + wp.tid() * wp.static(span)
         for i in range(begin_i, wp.min(begin_i + wp.static(span), last)):
@@ -305,7 +295,6 @@ def sphere_kernel(
                 )
             place_sphere(flags, scenes, spheres, links, s, i, place, radius)
             write_vec4(spheres.velocity, i, pack(velocity, mass))
-        end_step(flags, scenes, arrivals, parties)
 
     return move_spheres
 

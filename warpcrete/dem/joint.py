@@ -61,8 +61,6 @@ class JointArrays:
     """On each body of a group, along that axis [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`."""
-    arrivals: wp.array
-    """Blocks of a GPU that are done with a step, shape (1,); see `kernels/dem/clock.py`."""
     slot_scene: wp.array
     """Scene of every entry of `pairs.start`, shape (spheres + scenes,)."""
 
@@ -107,7 +105,6 @@ class JointArrays:
         vec4 = self.structs.Spheres.vars["clear"].type.dtype
         self.spheres.scene = self._numbers(counts)
         self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
-        self.arrivals = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.bodies.scene = self._numbers([s.body_count for s in self.states])
         self.slot_scene = self._numbers([n + 1 for n in counts])
 

@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 from typing import Any
 
-from ..core.launching import BLOCK, Stage, members
+from ..core.launching import Stage, members
 from ..kernels.common.types import SPAN
 from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
@@ -42,12 +42,6 @@ def tasks(batch: Batch, bodies: int) -> int:
 def warp_width(device: Any) -> int:
     """Threads that go through the same instructions together."""
     return WARP if device.is_cuda else 1
-
-
-def whole_blocks(count: int, device: Any) -> int:
-    """The least number of whole blocks' tasks that is not less; blocks of a CPU are single tasks."""
-    block = BLOCK if device.is_cuda else 1
-    return -(-count // block) * block
 
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
@@ -90,32 +84,38 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Stages of a GPU: all of walls, contacts and motion, beside contacts of spheres."""
+    """Stages of a GPU: walls' contacts beside those of spheres, and walls' own motion beside that of bodies."""
     b, f, n = batch, batch.features, batch.sphere_count
-    few = n < MANY
     width = warp_width(b.device)
     stages = near_stages(b)
     if f.analytic:
-        bits = _wall_bits(b) if few else 0
         surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
+        bits = wall_lane_bits(b)
         threads = -(-(n << bits) // width) * width
         stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
-    if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
-    # Where spheres are few, and nothing comes between, motion's last block completes the step.
-    ends = few and not f.subcycling and b.structure is None and b.body_count > 0
-    stages += [b.stage(kernel, threads, threads=threads), _motion(b, 0, b.body_count, ends=ends)]
-    if not ends:
-        stages += [
-            *(b.subcycles.stages(0) if f.subcycling else ()),
-            b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
-            *([b.structure.stage()] if b.structure is not None else []),
-        ]
+    stages += [
+        b.stage(kernel, threads, threads=threads),
+        _motion(b, 0, b.body_count),
+    ]
+    if f.walls:
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
+    stages += [
+        *(b.subcycles.stages(0) if f.subcycling else ()),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+        *([b.structure.stage()] if b.structure is not None else []),
+    ]
     return stages
+
+
+def wall_lane_bits(batch: Batch) -> int:
+    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
+    if warp_width(batch.device) == 1 or batch.sphere_count >= MANY:
+        return 0
+    return min((int(batch.rows["analytic"].max()) - 1).bit_length(), WALL_LANE_BITS)
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
@@ -138,33 +138,21 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = Fa
     return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
 
 
-def _motion(batch: Batch, first: int, last: int, *, ends: bool = False) -> Stage:
-    """Motion of a chunk of bodies, when all forces are there, which `ends` the step or not."""
+def _motion(batch: Batch, first: int, last: int) -> Stage:
+    """Motion of a chunk of bodies, when all forces are there."""
     b, f = batch, batch.features
-    rows = 0 if f.half_list else rows_of(f)
-    bits = _lane_bits(b)
-    count = tasks(b, last - first)
-    if not f.half_list:
-        count = whole_blocks(count << bits, b.device)
     named: dict[str, Any] = {"first": first, "last": last}
-    named["parties"] = count // whole_blocks(1, b.device) if ends else 0
+    rows = 0 if f.half_list else rows_of(f)
+    count = tasks(b, last - first)
     if f.clumps:
+        width = warp_width(b.device)
         kernel = clump_kernel(
-            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows,
-            warp_width(b.device),
-        )  # fmt: skip
+            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
+        )
+        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY or rows > 2) else 0
+        if not f.half_list:
+            count = -(-(count << bits) // width) * width
         named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
     return b.stage(kernel, count, meets=True, **named)
-
-
-def _lane_bits(batch: Batch) -> int:
-    many = batch.sphere_count >= MANY and rows_of(batch.features) == 2
-    return LANE_BITS if batch.features.clumps and warp_width(batch.device) > 1 and not many else 0
-
-
-def _wall_bits(batch: Batch) -> int:
-    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
-    most = int(batch.rows["analytic"].max())
-    return min((most - 1).bit_length(), WALL_LANE_BITS) if warp_width(batch.device) > 1 else 0
