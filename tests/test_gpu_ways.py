@@ -33,7 +33,7 @@ from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
-from warpcrete.kernels.dem.subcycling import body_kernels, pair_kernel
+from warpcrete.kernels.dem.subcycling import foreseeing_kernel, rounds_kernel
 from warpcrete.kernels.dem.surfaces import surface_kernel
 from warpcrete.kernels.dem.warps import WARP
 from warpcrete.kernels.mps import resident_solver
@@ -326,8 +326,8 @@ def kernels_of_a_step(pick):
                 gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
                 clump_kernel(batch.scalar, True, True, True, False, True, True, 4, WARP),
                 surface_kernel(batch.scalar, wall_law, True, False, WARP),
-                *body_kernels(batch.scalar, True, False, True),
-                pair_kernel(batch.scalar, law, False, True, True, True),
+                foreseeing_kernel(batch.scalar, True, False, True),
+                rounds_kernel(batch.scalar, law, True, True, True),
             ]
             stages = [*launches_of(simulation), *(SimpleNamespace(kernel=kernel) for kernel in warps)]
         elif pick in GRIDS:

@@ -20,6 +20,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import FAILED, HALTED
+from ..common.resident import gather
 from ..common.types import SPAN, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
 from .clump_motion import carry_function
@@ -161,9 +162,9 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
 
 
 @functools.cache
-def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipation: bool):
-    """Kernel over pairs: force and moments of contact and stiff bond after a round."""
-    t, span = types(scalar), SPAN if half else 1
+def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: bool):
+    """`pair_round`: force and moments of contact and stiff bond of a pair after a round."""
+    t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -182,7 +183,63 @@ def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipati
         if wp.static(history):
             pairs.history[k] = subcycled.held.history[p]
 
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(half))
+    @wp.func
+    def pair_round(
+        p: wp.int32, turn: wp.int32, pair_parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond),
+        flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, subcycled: Subcycled,
+    ):  # fmt: skip
+        s = subcycled.pair_scene[p]
+        rounds = subcycled.rounds[s]
+        if flags[s, HALTED] != 0 or turn >= rounds or subcycled.active[p] == 0:
+            return
+        step = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS])
+        dt = step / scalar(rounds)
+        ends = subcycled.ends[p]
+        a, b = ends[0], ends[1]
+        arm_a = wp.quat_rotate(subcycled.orientation[a], xyz(subcycled.lower_offset[p]))
+        arm_b = wp.quat_rotate(subcycled.orientation[b], xyz(subcycled.higher_offset[p]))
+        spin_a, spin_b = subcycled.spin[a], subcycled.spin[b]
+        pair = pair_touch(
+            pack(subcycled.position[a] + arm_a, subcycled.lower_offset[p][3]),
+            pack(subcycled.velocity[a] + wp.cross(spin_a, arm_a), subcycled.mass[a]), spin_a,
+            pack(subcycled.position[b] + arm_b, subcycled.higher_offset[p][3]),
+            pack(subcycled.velocity[b] + wp.cross(spin_b, arm_b), subcycled.mass[b]), spin_b,
+            scalar(1.0), dt,
+        )  # fmt: skip
+        total, moment = stiff_pair(
+            subcycled, pair_parameters, bond_parameters, scenes.row[s].bonds, p, pair, spin_b - spin_a,
+            scalar(RELAXATION) * step, dt,
+        )  # fmt: skip
+        if turn + 1 == rounds:
+            if subcycled.held.bond[p] <= 0:  # the next step's contacts have it
+                subcycled.active[p] = 0
+                total = t.vec3()
+                moment = t.vec3()
+                if wp.static(healing):
+                    if pair.touch.gap >= scalar(0.0):
+                        subcycled.held.bond[p] = 0  # may bond again at the next touch
+            keep(pairs, subcycled, p, subcycled.entry[p])
+            if subcycled.copy[p] >= 0:
+                keep(pairs, subcycled, p, subcycled.copy[p])
+        bent = wp.cross(pair.touch.normal, total)
+        subcycled.force[ends[2]] = total
+        subcycled.torque[ends[2]] = pair.arm_i * bent + moment + wp.cross(arm_a, total)
+        subcycled.force[ends[3]] = -total
+        subcycled.torque[ends[3]] = pair.arm_j * bent - moment - wp.cross(arm_b, total)
+
+    return pair_round
+
+
+@functools.cache
+def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
+    """Kernel over pairs, of half lists: see :func:`pair_round_function`."""
+    structs = array_structs(scalar)
+    Scenes, Pairs = structs.Scenes, structs.Pairs
+    Subcycled = subcycled_struct(scalar)
+    Parameters, Bond = law.functions(scalar).Parameters, bond_functions(scalar).Bond
+    pair_round = pair_round_function(scalar, law, history, healing, dissipation)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def subcycle_pairs(
         # model
         pair_parameters: wp.array(dtype=Parameters),
@@ -198,46 +255,9 @@ def pair_kernel(scalar, law, half: bool, history: bool, healing: bool, dissipati
         pairs: Pairs,
         subcycled: Subcycled,
     ):
-        begin_p = first + wp.tid() * wp.static(span)
-        for p in range(begin_p, wp.min(begin_p + wp.static(span), last)):
-            s = subcycled.pair_scene[p]
-            rounds = subcycled.rounds[s]
-            if flags[s, HALTED] != 0 or turn >= rounds or subcycled.active[p] == 0:
-                continue
-            step = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS])
-            dt = step / scalar(rounds)
-            ends = subcycled.ends[p]
-            a, b = ends[0], ends[1]
-            arm_a = wp.quat_rotate(subcycled.orientation[a], xyz(subcycled.lower_offset[p]))
-            arm_b = wp.quat_rotate(subcycled.orientation[b], xyz(subcycled.higher_offset[p]))
-            spin_a, spin_b = subcycled.spin[a], subcycled.spin[b]
-            pair = pair_touch(
-                pack(subcycled.position[a] + arm_a, subcycled.lower_offset[p][3]),
-                pack(subcycled.velocity[a] + wp.cross(spin_a, arm_a), subcycled.mass[a]), spin_a,
-                pack(subcycled.position[b] + arm_b, subcycled.higher_offset[p][3]),
-                pack(subcycled.velocity[b] + wp.cross(spin_b, arm_b), subcycled.mass[b]), spin_b,
-                scalar(1.0), dt,
-            )  # fmt: skip
-            total, moment = stiff_pair(
-                subcycled, pair_parameters, bond_parameters, scenes.row[s].bonds, p, pair, spin_b - spin_a,
-                scalar(RELAXATION) * step, dt,
-            )  # fmt: skip
-            if turn + 1 == rounds:
-                if subcycled.held.bond[p] <= 0:  # the next step's contacts have it
-                    subcycled.active[p] = 0
-                    total = t.vec3()
-                    moment = t.vec3()
-                    if wp.static(healing):
-                        if pair.touch.gap >= scalar(0.0):
-                            subcycled.held.bond[p] = 0  # may bond again at the next touch
-                keep(pairs, subcycled, p, subcycled.entry[p])
-                if subcycled.copy[p] >= 0:
-                    keep(pairs, subcycled, p, subcycled.copy[p])
-            bent = wp.cross(pair.touch.normal, total)
-            subcycled.force[ends[2]] = total
-            subcycled.torque[ends[2]] = pair.arm_i * bent + moment + wp.cross(arm_a, total)
-            subcycled.force[ends[3]] = -total
-            subcycled.torque[ends[3]] = pair.arm_j * bent - moment - wp.cross(arm_b, total)
+        begin_p = first + wp.tid() * SPAN
+        for p in range(begin_p, wp.min(begin_p + SPAN, last)):
+            pair_round(p, turn, pair_parameters, bond_parameters, flags, scenes, pairs, subcycled)
 
     return subcycle_pairs
 
@@ -277,17 +297,44 @@ def kick_functions(scalar, dissipation: bool):
 
 
 @functools.cache
-def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
-    """Kernels over bodies with stiff bonds: ``subcycle_bodies``, one round's motion, and ``foresee_bodies`` after the
-    last: where they will be at the end of the step, and what their bonds took in it."""
-    span = SPAN if half else 1
-    structs = array_structs(scalar)
-    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+def body_round_function(scalar):
+    """`body_round`: a round's motion of a body with stiff bonds."""
+    Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
-    motion = motion_functions(scalar, False)
-    moved_on, carry, Links = motion.moved_on, carry_function(scalar, meshes, half), links_struct(scalar)
-    kicked, book = kick_functions(scalar, dissipation)
+    moved_on, kicked = motion_functions(scalar, False).moved_on, kick_functions(scalar, False)[0]
+
+    @wp.func
+    def body_round(
+        q: wp.int32, turn: wp.int32, flags: wp.array2d(dtype=wp.int32), scenes: Scenes, subcycled: Subcycled
+    ):  # fmt: skip
+        s = subcycled.body_scene[q]
+        rounds = subcycled.rounds[s]
+        if flags[s, HALTED] != 0 or turn >= rounds:
+            return
+        dt = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
+        kick = dt
+        if turn == 0:
+            kick = scalar(0.5) * dt
+        velocity, angular_momentum = kicked(subcycled, q, kick)
+        x, rounding = moved_on(subcycled.position[q], dt * velocity, subcycled.rounding[q])
+        spin = spin_at_middle(subcycled.orientation[q], angular_momentum, subcycled.inertia[q], dt)
+        subcycled.orientation[q] = wp.normalize(turned(subcycled.orientation[q], dt * spin))
+        subcycled.rounding[q] = rounding
+        subcycled.position[q] = x
+        subcycled.velocity[q] = velocity
+        subcycled.angular_momentum[q] = angular_momentum
+        subcycled.spin[q] = spin
+
+    return body_round
+
+
+@functools.cache
+def body_kernel(scalar):
+    """Kernel over bodies with stiff bonds, of half lists: see :func:`body_round_function`."""
+    Scenes = array_structs(scalar).Scenes
+    Subcycled = subcycled_struct(scalar)
+    body_round = body_round_function(scalar)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
@@ -301,25 +348,66 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
         # state, read and written
         subcycled: Subcycled,
     ):
-        begin_q = first + wp.tid() * wp.static(span)
-        for q in range(begin_q, wp.min(begin_q + wp.static(span), last)):
-            s = subcycled.body_scene[q]
-            rounds = subcycled.rounds[s]
-            if flags[s, HALTED] != 0 or turn >= rounds:
-                continue
-            dt = scalar(0.5) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
-            kick = dt
-            if turn == 0:
-                kick = scalar(0.5) * dt
-            velocity, angular_momentum = kicked(subcycled, q, kick)
-            x, rounding = moved_on(subcycled.position[q], dt * velocity, subcycled.rounding[q])
-            spin = spin_at_middle(subcycled.orientation[q], angular_momentum, subcycled.inertia[q], dt)
-            subcycled.orientation[q] = wp.normalize(turned(subcycled.orientation[q], dt * spin))
-            subcycled.rounding[q] = rounding
-            subcycled.position[q] = x
-            subcycled.velocity[q] = velocity
-            subcycled.angular_momentum[q] = angular_momentum
-            subcycled.spin[q] = spin
+        begin_q = first + wp.tid() * SPAN
+        for q in range(begin_q, wp.min(begin_q + SPAN, last)):
+            body_round(q, turn, flags, scenes, subcycled)
+
+    return subcycle_bodies
+
+
+@functools.cache
+def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
+    """Kernel of all `rounds` of a step on a GPU, so many `threads` in blocks that stay: of two kernels a round each had
+    the next one wait for it."""
+    structs = array_structs(scalar)
+    Scenes, Pairs = structs.Scenes, structs.Pairs
+    Subcycled = subcycled_struct(scalar)
+    Parameters, Bond = law.functions(scalar).Parameters, bond_functions(scalar).Bond
+    pair_round = pair_round_function(scalar, law, history, healing, dissipation)
+    body_round = body_round_function(scalar)
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def subcycle_all(
+        # model
+        pair_parameters: wp.array(dtype=Parameters),
+        bond_parameters: wp.array(dtype=Bond),
+        # how
+        threads: wp.int32,
+        parties: wp.int32,
+        rounds: wp.int32,
+        body_count: wp.int32,
+        pair_count: wp.int32,
+        # state, read
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        pairs: Pairs,
+        subcycled: Subcycled,
+        gate: wp.array(dtype=wp.int32),
+    ):
+        thread = wp.tid()
+        for turn in range(rounds):
+            for q in range(thread, body_count, threads):
+                body_round(q, turn, flags, scenes, subcycled)
+            gather(gate, parties)
+            for p in range(thread, pair_count, threads):
+                pair_round(p, turn, pair_parameters, bond_parameters, flags, scenes, pairs, subcycled)
+            gather(gate, parties)
+
+    return subcycle_all
+
+
+@functools.cache
+def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
+    """Kernel over bodies with stiff bonds, after the last round: where they will be at the end of the step, and what
+    their bonds took in it."""
+    span = SPAN if half else 1
+    structs = array_structs(scalar)
+    Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
+    Subcycled = subcycled_struct(scalar)
+    turned, spin_at_middle = rotation_functions(scalar)
+    carry, Links = carry_function(scalar, meshes, half), links_struct(scalar)
+    kicked, book = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
@@ -366,4 +454,4 @@ def body_kernels(scalar, meshes: bool, half: bool, dissipation: bool):
                     flags, scenes, spheres, links, s, i, x, orientation, scalar(1.0), velocity, spin, subcycled.mass[q]
                 )
 
-    return subcycle_bodies, foresee_bodies
+    return foresee_bodies

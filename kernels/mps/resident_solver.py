@@ -13,6 +13,7 @@ import warp as wp
 
 from ..common.control import FAILED, HALTED
 from ..common.reductions import BLOCK, block_sums
+from ..common.resident import gather
 from ..common.rows import directed_product
 from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
@@ -29,29 +30,6 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1
     return BLOCK, max(1, min(-(-rows // BLOCK), room))
-
-
-GATHER = """
-    WP_TILE_SYNC();
-#if defined(__CUDA_ARCH__)
-    if (parties > 1) {
-        if (threadIdx.x == 0) {
-            // The highest bit turns when all are here, and those below are 0 again.
-            unsigned* here = reinterpret_cast<unsigned*>(gate.data);
-            __threadfence();
-            const unsigned before = atomicAdd(here, blockIdx.x == 0 ? 0x80000000u - (parties - 1) : 1u);
-            while (((before ^ *reinterpret_cast<volatile unsigned*>(here)) & 0x80000000u) == 0) {}
-            __threadfence();
-        }
-        WP_TILE_SYNC();
-    }
-#endif
-"""
-
-
-@wp.func_native(GATHER)
-def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """All threads of a kernel's blocks, `parties` of them, wait here for the last. A CPU has one block."""
 
 
 @functools.cache

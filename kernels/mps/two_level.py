@@ -11,11 +11,12 @@ import warp as wp
 from ..common.barrier import meet
 from ..common.control import FAILED, HALTED
 from ..common.reductions import BLOCK, block_sums
+from ..common.resident import gather
 from ..common.rows import entry_product, row_product
 from ..common.types import cpu_flags
 from .coarse import DEGREE, MIDDLE, REACH, coarse_functions, lanes
 from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, serial_rows, solver_functions
-from .resident_solver import RESIDENT, WIDE, gather, row_functions, sum_functions
+from .resident_solver import RESIDENT, WIDE, row_functions, sum_functions
 from .structs import array_structs, flow_struct
 
 

@@ -209,7 +209,8 @@ class Batch(JointArrays):
         """Launch steps until some scene needs looking after; a GPU takes them while Python goes on."""
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         self.device_changed()
-        largest = self.ahead.largest_graph(self.threads, self.subcycles.rounds)
+        rounds = 0 if self.parallel else self.subcycles.rounds  # which a GPU takes in one kernel
+        largest = self.ahead.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
         try:

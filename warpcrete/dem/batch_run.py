@@ -70,6 +70,7 @@ def _run_batch(
             for part, (numbers, _) in zip(members, turn):
                 part.begin(numbers)
             begun = [part for part in members if part.scenes]
+            _share_rounds(begun)
             for part, results in zip(begun, drive_abreast([(part.scenes, part.stream) for part in begun])):
                 part.end(results)
         except KeyboardInterrupt:
@@ -81,6 +82,14 @@ def _run_batch(
             for part in members:
                 part.release()  # the next ones need the memory
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
+
+
+def _share_rounds(parts: Sequence[_Part]) -> None:
+    """Let batches that run at the same time share a GPU's room for blocks that stay."""
+    batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
+    several = [batch for batch in batches if batch.features.subcycling]
+    for batch in several:
+        batch.subcycles.abreast = len(several)
 
 
 class _Part:

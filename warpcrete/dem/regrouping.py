@@ -57,6 +57,7 @@ def regroup(steppers: Sequence[Any]) -> None:
     for state in states:
         state.leave()
     batch = Batch([stepper.model for stepper in steppers], states)
+    batch.subcycles.abreast = old.subcycles.abreast
     lists, estimate = NeighborLists(batch), StableStep(batch)
     for s, (stepper, (index, found)) in enumerate(zip(steppers, before)):
         batch.set(s, **{name: old.rows[name][index] for name in SETTINGS})

@@ -12,12 +12,23 @@ from ..core.launching import Stage
 from ..kernels.common.types import SPAN
 from ..kernels.dem.bond_parallel import HYDRATED
 from ..kernels.dem.structs import subcycled_struct
-from ..kernels.dem.subcycling import RELAXATION, body_kernels, locating_kernels, pair_kernel
+from ..kernels.dem.subcycling import (
+    RELAXATION,
+    body_kernel,
+    foreseeing_kernel,
+    locating_kernels,
+    pair_kernel,
+    rounds_kernel,
+)
 from .probes import listed_pairs
 from .state import pair_bytes
 
 MARGIN = 1.1
 """Over the step at the start: so far it may grow before rounds bound it."""
+ROUND_BLOCK = 128
+"""Threads of a GPU's block that takes all rounds of a step."""
+RESIDENT = 2
+"""Such blocks that a multiprocessor has room for, whatever registers they take."""
 OF_BODIES = ("position", "orientation")
 """Arrays of the bodies that the next step depends on, beside those of the state."""
 OF_ENDS = ("force", "torque")
@@ -46,6 +57,9 @@ class Subcycles:
         self.batch = batch
         self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
+        self.abreast = 1
+        """Batches whose rounds a GPU may have at the same time."""
+        self._gate = wp.zeros(1, dtype=wp.int32, device=batch.device)
         self._join()
 
     @property
@@ -203,27 +217,41 @@ class Subcycles:
         """Stages with all that it launches."""
         if not self.batch.features.subcycling:
             return []
-        return [*self._locating(), *self._round(0, 0), self._foreseeing(0)]
+        rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
+        return [*self._locating(), *rounds, self._foreseeing(0)]
 
     def stages(self, part: int) -> list[Any]:
         """Rounds of a step, a thread's part of them."""
+        if not self.batch.features.half_list:
+            return [self._all_rounds(), self._foreseeing(part)]
         meet = self.batch.barrier()
         rounds = [stage for turn in range(self.rounds) for stage in self._round(part, turn)]
         return [each for stage in (*rounds, self._foreseeing(part)) for each in (stage, *meet)]
 
+    def _all_rounds(self) -> Stage:
+        """Those of a GPU, whose blocks must all have room at once."""
+        b, f = self.batch, self.batch.features
+        blocks, count = 1, max(self.pair_count, self.body_count)
+        if b.device.is_cuda:
+            blocks = max(1, min(-(-count // ROUND_BLOCK), RESIDENT * b.device.sm_count // self.abreast))
+        threads = blocks * (ROUND_BLOCK if b.device.is_cuda else 1)
+        kernel = rounds_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
+        return b.stage(
+            kernel, threads if count else 0, block=ROUND_BLOCK, threads=threads, parties=blocks, rounds=self.rounds,
+            body_count=self.body_count, pair_count=self.pair_count, subcycled=self.arrays, gate=self._gate,
+        )  # fmt: skip
+
     def _round(self, part: int, turn: int) -> list[Stage]:
         b, f = self.batch, self.batch.features
-        move, _ = body_kernels(b.scalar, f.meshes, f.half_list, f.dissipation)
-        pairs = pair_kernel(b.scalar, f.pair_law, f.half_list, f.history, f.healing, f.dissipation)
+        pairs = pair_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
         return [
-            self._stage(move, part, self.body_count, turn=turn),
+            self._stage(body_kernel(b.scalar), part, self.body_count, turn=turn),
             self._stage(pairs, part, self.pair_count, turn=turn),
         ]
 
     def _foreseeing(self, part: int) -> Stage:
         b, f = self.batch, self.batch.features
-        _, foresee = body_kernels(b.scalar, f.meshes, f.half_list, f.dissipation)
-        return self._stage(foresee, part, self.body_count)
+        return self._stage(foreseeing_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
         """A launch over a thread's part of so many pairs or bodies."""
