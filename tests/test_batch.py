@@ -55,8 +55,9 @@ def touches_mesh(simulation) -> bool:
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision):
+def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monkeypatch):
     """Clumps, bonds that heal, a spinning mesh, a driven plate; scenes that end at different times."""
+    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
     some = [dataclasses.replace(mixed_scene(seed), duration=0.06 + 0.01 * seed) for seed in (0, 1, 2, 3)]
     together = simulate(device, some, precision=precision)
     batched = run_batch(together)
@@ -300,6 +301,21 @@ def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device, monkeypatc
         simulations = simulate(device, some)
         batched = run_batch(simulations)
         assert len({id(s.stepper.batch) for s in simulations}) == 2
+        check_the_same(alone(device, some), batched)
+
+
+@pytest.mark.thorough
+def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
+    """Blocks that wait for one another must all have room: of two batches each has half of it, and the same bits."""
+    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
+    some = [
+        scenes.pipe(hydration=0.2, hydration_modulus=1e7, energy_balance=energies, **SMALL | dict(travel=0.01))
+        for energies in (False, True)
+    ]
+    with like_a_gpu(device):
+        simulations = simulate(device, some)
+        batched = run_batch(simulations)
+        assert [s.stepper.batch.subcycles.abreast for s in simulations] == [2, 2]
         check_the_same(alone(device, some), batched)
 
 

@@ -28,7 +28,7 @@ from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
-from warpcrete.kernels.common.control import ESTIMATED, FLAGS, GOAL, HALTED, STEPS
+from warpcrete.kernels.common.control import ESTIMATED, FAILED, FLAGS, GOAL, HALTED, STALE, STEPS
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
@@ -82,6 +82,35 @@ def test_steps_ahead_end_where_the_scene_must_be_looked_after(device, given, ste
     clock[0, [int(TIME), int(DT)]] = given.get("time", 0.0), given.get("dt", 1e-3)
     rows = np.array([(1.0, 20)], dtype=[("until", float), ("interval", int)])
     assert Ahead(device == "gpu", 1).pieces(flags, clock, rows) == steps
+
+
+def two_scenes(steps, estimated, goal=1000):
+    flags, clock = np.zeros((2, FLAGS), dtype=np.int32), np.zeros((2, CLOCK))
+    flags[:, int(STEPS)], flags[:, int(ESTIMATED)], flags[:, int(GOAL)] = steps, estimated, goal
+    clock[:, int(DT)] = 1e-3
+    rows = np.array([(np.inf, 20, 4000)] * 2, dtype=[("until", float), ("interval", int), ("sort_every", int)])
+    return flags, clock, rows
+
+
+def test_scenes_of_a_batch_come_to_their_estimates_together():
+    """From one to the next in one piece; who had to wait waits for it; no piece begins that lists will not last for."""
+    ahead = Ahead(True, 2)
+    assert ahead.pieces(*two_scenes((20, 20), (20, 20))) == [20, 20]
+    assert ahead.pieces(*two_scenes((40, 33), (40, 20))) == [20, 20]
+    assert ahead.pieces(*two_scenes((33, 32), (20, 20))) == [8, 20]
+    assert ahead.pieces(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
+    flags, _, rows = two_scenes((60, 60), (60, 60))
+    flags[0, int(STALE)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # nothing is known of the other's
+    ahead.built(flags)
+    assert ahead.pieces(*two_scenes((80, 80), (80, 80))) == [20]  # 37 more steps
+    flags, _, rows = two_scenes((118, 118), (118, 118))
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # 58 steps, and it took 57 to be stale
+    assert ahead.due(flags, rows["sort_every"], [1]).tolist() == []  # who has ended wants none
+    flags[1, int(STALE)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0, 1]
+    flags[0, int(FAILED)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [1]
 
 
 @pytest.mark.parametrize("largest", [1, 16, 64])

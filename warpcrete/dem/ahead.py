@@ -76,6 +76,10 @@ class Ahead:
             return NOBODY
         return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
 
+    def joined(self, s: int, steps: int) -> None:
+        """Scene `s` comes with lists, having completed so many steps."""
+        self._built[s] = steps
+
     def built(self, flags: np.ndarray) -> None:
         """Lists of the scenes that are stale by these flags are new."""
         stale = flags[:, int(STALE)] != 0
@@ -109,6 +113,7 @@ class Ahead:
         lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
         if self.scenes > 1:
             # Who is not in step with the rest, since it had to wait, comes to its estimate first, and waits for theirs.
+            piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, lists)
             while sum(sizes) < count and sum(sizes) + piece <= most:

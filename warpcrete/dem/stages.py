@@ -29,7 +29,9 @@ CHOSEN = 20
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
 WALL_LANE_BITS = 3
-"""Of the number of a GPU's threads that share a sphere among planes and pipes, at most, where spheres are few."""
+"""Of the number of a GPU's threads that share a sphere among planes and pipes, at most."""
+WALL_THREADS = 100_000
+"""As many as wait for memory at a time: a hundred thousand spheres, with eight threads each, took a tenth longer."""
 LANE_BITS = 2
 """Of the number of a GPU's threads that share a clump, where there are few, or each link gives much to read."""
 
@@ -113,9 +115,11 @@ def _full_step(batch: Batch) -> list[Stage]:
 
 def wall_lane_bits(batch: Batch) -> int:
     """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
-    if warp_width(batch.device) == 1 or batch.sphere_count >= MANY:
+    most = int(batch.rows["analytic"].max())
+    if warp_width(batch.device) == 1 or most <= 2:  # what two walls cost is that they are there
         return 0
-    return min((int(batch.rows["analytic"].max()) - 1).bit_length(), WALL_LANE_BITS)
+    bits = min((most - 1).bit_length(), WALL_LANE_BITS)
+    return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:

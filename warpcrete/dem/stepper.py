@@ -109,6 +109,7 @@ class Stepper:
             self.rebuild()
         else:
             self.lists.link(index)
+            self.batch.ahead.joined(index, self.steps)
 
     def state_dict(self) -> dict[str, Any]:
         """What a stepper needs, besides the state, to go on as this one would."""
