@@ -217,7 +217,7 @@ def mixed(part):
 
 
 def drops(part):
-    return dataclasses.replace(falling(0.1 + 0.1 * part), duration=0.015 + 0.015 * part)
+    return dataclasses.replace(falling(0.1 + 0.1 * part), duration=0.015 + 0.03 * part)
 
 
 def hydrated(part):
@@ -315,7 +315,8 @@ def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
     with like_a_gpu(device):
         simulations = simulate(device, some)
         batched = run_batch(simulations)
-        assert [s.stepper.batch.subcycles.abreast for s in simulations] == [2, 2]
+        at_once = 2 if device.startswith("cuda") else 1
+        assert [s.stepper.batch.subcycles.abreast for s in simulations] == 2 * [at_once]
         check_the_same(alone(device, some), batched)
 
 

@@ -134,6 +134,76 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
+def meeting_function(scalar, law, dissipation: bool, wear: bool):
+    """`meet`: what a sphere has of the plane or pipe of a slot: how far its surface is, whether they touch, force and
+    moment on the sphere, moment on the wall, and lost energy. It steps what the contact remembers."""
+    t = types(scalar)
+    structs = array_structs(scalar)
+    Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
+    shape = wall_functions(scalar)
+    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
+    functions = law.functions(scalar)
+    Parameters, contact_force, contact_energy = functions.Parameters, functions.force, functions.energy
+    rolls, contact_moment = law.rolls, functions.moment if law.rolls else None
+    moment_energy = functions.moment_energy if rolls else None
+    wall_touch = contact_functions(scalar).wall_touch
+    surface_touch = surface_touch_function(scalar)
+    worn_by, in_frame = wear_functions(scalar, law).worn_by, wear_functions(scalar, law).in_frame
+    xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def meet(
+        i: wp.int32, slot: wp.int32, w: wp.int32, row: wp.int32, remembers: wp.bool, dt: scalar,
+        parameters: wp.array(dtype=Parameters), segments: wp.array(dtype=Segment), spheres: Spheres, slots: Slots,
+        walls: Walls,
+    ):  # fmt: skip
+        x, radius = xyz(spheres.position[i]), spheres.position[i][3]
+        velocity, spin = spheres.velocity[i], xyz(spheres.spin[i])
+        touches = wp.bool(False)
+        f = t.vec3()
+        moment = t.vec3()
+        m = t.vec3()
+        lost = wp.float64(0.0)
+        distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
+        gap = distance - radius
+        if gap < scalar(0.0):
+            touches = wp.bool(True)
+            n = into_wall(walls.table[w], direction)  # from the sphere into the wall
+            touch, point = surface_touch(
+                walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity, spin, dt
+            )  # fmt: skip
+            p = parameters[row + walls.table[w].material]
+            f, new_history, slid = contact_force(p, touch, slots.history[i, slot], dt)
+            slots.history[i, slot] = new_history
+            lost = wp.float64(slid)
+            moment = wp.cross((radius + gap) * n, f)
+            m = wp.cross(point - walls.position[w], -f)
+            if wp.static(wear):
+                slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, slid, dt)
+                slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
+            if wp.static(rolls):
+                turning = walls.spin[w] - spin
+                held_back, rolled, rolling_lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
+                slots.rolling[i, slot] = rolled
+                lost += wp.float64(rolling_lost)
+                moment += held_back
+                m = m - held_back
+        elif remembers:
+            if wp.static(dissipation):
+                touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                p = parameters[row + walls.table[w].material]
+                lost = wp.float64(contact_energy(p, touch, slots.history[i, slot]))
+                if wp.static(rolls):
+                    lost += wp.float64(moment_energy(p, touch, slots.rolling[i, slot]))
+            slots.history[i, slot] = t.vec3()
+            if wp.static(rolls):
+                slots.rolling[i, slot] = t.vec3()
+        return distance, touches, f, moment, m, lost
+
+    return meet
+
+
+@functools.cache
 def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool, width: int = 1):
     """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
     threads of a warp of `width` must call; one that has nothing to look at says that it is not `here`. So many `lanes`
@@ -146,15 +216,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     SceneRow = scene_struct(scalar)
     structs = array_structs(scalar)
     Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
-    shape = wall_functions(scalar)
-    Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
-    functions = law.functions(scalar)
-    Parameters, contact_force, contact_energy = functions.Parameters, functions.force, functions.energy
-    rolls, contact_moment = law.rolls, functions.moment if law.rolls else None
-    moment_energy = functions.moment_energy if rolls else None
-    wall_touch = contact_functions(scalar).wall_touch
-    surface_touch = surface_touch_function(scalar)
-    worn_by, in_frame = wear_functions(scalar, law).worn_by, wear_functions(scalar, law).in_frame
+    Segment, Parameters = wall_functions(scalar).Segment, law.functions(scalar).Parameters
+    meet = meeting_function(scalar, law, dissipation, wear)
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     write_vec4 = row_functions(scalar).write_vec4
@@ -186,8 +249,6 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         walls: Walls,
     ):
         x = xyz(spheres.position[i])
-        radius = spheres.position[i][3]
-        velocity = spheres.velocity[i]
         total_force = t.vec3()
         total_moment = t.vec3()
         total_lost = wp.float64(0.0)
@@ -207,45 +268,14 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
             m = t.vec3()
             lost = wp.float64(0.0)
             if here and slot < scene.analytic and not (far and walls.table[w].motion == FIXED):
-                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
-                gap = distance - radius
+                remembers = slot >= WALL_BITS or ((before >> slot) & 1) != 0
+                distance, touches, f, moment, m, lost = meet(
+                    i, slot, w, row, remembers, dt, parameters, segments, spheres, slots, walls
+                )
                 if walls.table[w].motion == FIXED:
-                    nearest = wp.min(nearest, gap + radius)
-                if gap < scalar(0.0):
-                    touches = wp.bool(True)
-                    n = into_wall(walls.table[w], direction)  # from the sphere into the wall
-                    touch, point = surface_touch(
-                        walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity,
-                        xyz(spheres.spin[i]), dt,
-                    )  # fmt: skip
-                    p = parameters[row + walls.table[w].material]
-                    f, new_history, slid = contact_force(p, touch, slots.history[i, slot], dt)
-                    slots.history[i, slot] = new_history
-                    if slot < WALL_BITS:
-                        now = now | (1 << slot)
-                    lost = wp.float64(slid)
-                    moment = wp.cross((radius + gap) * n, f)
-                    m = wp.cross(point - walls.position[w], -f)
-                    if wp.static(wear):
-                        slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, slid, dt)
-                        slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
-                    if wp.static(rolls):
-                        turning = walls.spin[w] - xyz(spheres.spin[i])
-                        held_back, rolled, rolling_lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
-                        slots.rolling[i, slot] = rolled
-                        lost += wp.float64(rolling_lost)
-                        moment += held_back
-                        m = m - held_back
-                elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
-                    if wp.static(dissipation):
-                        touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
-                        p = parameters[row + walls.table[w].material]
-                        lost = wp.float64(contact_energy(p, touch, slots.history[i, slot]))
-                        if wp.static(rolls):
-                            lost += wp.float64(moment_energy(p, touch, slots.rolling[i, slot]))
-                    slots.history[i, slot] = t.vec3()
-                    if wp.static(rolls):
-                        slots.rolling[i, slot] = t.vec3()
+                    nearest = wp.min(nearest, distance)
+                if touches and slot < WALL_BITS:
+                    now = now | (1 << slot)
             if wp.static(half):
                 total_force += f
                 total_moment += moment
