@@ -205,8 +205,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
                         estimate,
                     )  # fmt: skip
         else:
-            # Lanes look for what counts together, and then take that in turn.
-            turn = wp.int32(0)
+            # Lanes look for what counts together, and then take that in turn, all at the same time.
+            others = lane  # that are to be left to other lanes, before the next of this one
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)
                 for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):
@@ -214,13 +214,16 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
                         left = left | (1 << place)
                 left = bits_of_group(left)
                 while left != 0:
-                    if turn % wp.static(lanes) == lane:
+                    while others > 0 and left != 0:
+                        left = left & (left - 1)
+                        others -= 1
+                    if left != 0:
                         sums = add_pair(
                             sums, i, s, block + lowest_bit(left), first, last, parameters, bond_parameters, scenes,
                             bodies, spheres, pairs, estimate,
                         )  # fmt: skip
-                    left = left & (left - 1)
-                    turn += 1
+                        left = left & (left - 1)
+                        others = wp.static(lanes) - 1
         return sums
 
     return SimpleNamespace(Sums=Sums, add_pairs=add_pairs)
