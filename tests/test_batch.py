@@ -15,7 +15,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run_loop import Recorder, Run
-from warpcrete.dem import regrouping, stepper
+from warpcrete.dem import regrouping, stepper, subcycling
 from warpcrete.dem.ahead import Ahead
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
@@ -25,6 +25,7 @@ from warpcrete.dem.neighbors import NeighborLists
 from warpcrete.dem.restoring import state_hash
 from warpcrete.dem.scene import Bodies, Scene, Watch
 from warpcrete.dem.state import State
+from warpcrete.dem.subcycling import round_blocks
 from warpcrete.geometry.walls import PlaneWall
 from warpcrete.kernels.common.control import STALE
 
@@ -307,16 +308,29 @@ def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device, monkeypatc
 @pytest.mark.thorough
 def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
     """Blocks that wait for one another must all have room: of two batches each has half of it, and the same bits."""
+    assert (
+        round_blocks(10**6, 132, 1) == 264 and round_blocks(10**6, 132, 2) == 132 and round_blocks(10**6, 132, 500) == 1
+    )
+    assert round_blocks(1, 132, 1) == 1 and round_blocks(129, 132, 2) == 2
     monkeypatch.setattr(regrouping, "PATIENCE", 1000)
     some = [
-        scenes.pipe(hydration=0.2, hydration_modulus=1e7, energy_balance=energies, **SMALL | dict(travel=0.01))
+        scenes.pipe(
+            hydration=0.2,
+            hydration_modulus=1e7,
+            hydration_rounds=8,
+            energy_balance=energies,
+            **SMALL | dict(travel=0.01),
+        )
         for energies in (False, True)
     ]
     with like_a_gpu(device):
         simulations = simulate(device, some)
+        # So few that each thread has several pairs, as in a large batch.
+        monkeypatch.setattr(subcycling, "ROUND_BLOCK", 32)
+        monkeypatch.setattr(subcycling, "round_blocks", lambda count, multiprocessors, abreast: 4 // abreast)
         batched = run_batch(simulations)
-        at_once = 2 if device.startswith("cuda") else 1
-        assert [s.stepper.batch.subcycles.abreast for s in simulations] == 2 * [at_once]
+        assert all(s.stepper.batch.subcycles.pair_count > 2 * 32 for s in simulations)
+        assert [s.stepper.batch.subcycles.abreast for s in simulations] == [2, 2]
         check_the_same(alone(device, some), batched)
 
 
@@ -329,11 +343,21 @@ def test_an_interruption_of_one_scene_ends_those_abreast(device):
     assert all(isinstance(run, Run) and not run.finished for run in runs)
 
 
+def breaking(part):
+    """Stiff bonds that break in their rounds, as parts are drawn apart, and may heal."""
+    weak = dict(hydration=0.5, hydration_modulus=1e7, hydration_strength=2e3, hydration_rounds=8, healing=True)
+    return scenes.pipe(seed=part, velocity=2.0, energy_balance=True, **weak, **SMALL | dict(travel=0.03, ramp=1e-3))
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["half lists", "full lists"])
-def test_lists_may_be_built_at_any_time(way, monkeypatch):
+@pytest.mark.parametrize(
+    ("scene", "bonds"), [(lambda part: dataclasses.replace(mixed_scene(part), duration=0.05), 0), (breaking, 100)]
+)
+def test_lists_may_be_built_at_any_time(scene, bonds, way, monkeypatch):
     """Those of any scene of a batch or one alone, at any look, are as good as those of one that is stale: meshes, bonds
-    that heal, bodies sorted on the way. Only so may scenes of a batch have theirs built together."""
-    some = [dataclasses.replace(mixed_scene(seed), duration=0.05) for seed in (0, 1, 2)]
+    that heal or break in rounds, bodies sorted on the way. Only so may scenes of a batch have theirs built together."""
+    some = [scene(part) for part in (0, 1, 2)]
     monkeypatch.setattr(stepper, "SORT_EVERY", {"cpu": 100, "cuda": 100})
     built, due = [], Ahead.due
     with way():
@@ -347,8 +371,10 @@ def test_lists_may_be_built_at_any_time(way, monkeypatch):
             return found
 
         monkeypatch.setattr(Ahead, "due", at_random)
-        check_the_same(ones, run_batch(simulate("cpu", some)))
+        together = simulate("cpu", some)
+        check_the_same(ones, run_batch(together))
     assert np.count_nonzero(built) > 20 and max(built) == 3
+    assert sum(s.state.spheres.broken.numpy().sum() for s in together) >= bonds
 
 
 def test_scenes_of_a_batch_have_their_lists_built_together(monkeypatch):

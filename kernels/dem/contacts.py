@@ -124,14 +124,15 @@ def contact_kernel(
                             end = scenes.row[s].pairs + pairs.start[i + s + 1]
                             block = begin
                 if block < end:
-                    bits = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
+                    bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        parted = wp.static(ALL_TOUCHED) & ~bits
+                        # What a stiff bond held may part at its first look after that broke.
+                        parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]
                             parted = parted & before
-                            if bits != before:
-                                spheres.touching[i] = bits
+                            if (bits | held) != before:
+                                spheres.touching[i] = bits | held
                         lost = part_entries(
                             spheres, pairs, pair_parameters, row, base, first, last, position_i[3], velocity_i[3],
                             block, end, parted,

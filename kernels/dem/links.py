@@ -208,13 +208,15 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 held_apart = kind == HYDRATED  # stepped in rounds of its own
                 close = close and not held_apart
         state = read_int(links.touched, p)
-        if (close and state != 1) or (not close and state != 0):
+        after = wp.where(close, 1, 0)
+        if held_apart:
+            after = 3  # may part at the first look after its bond broke
+        if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
             twin = row + links.link[p][3]
-            if not close and state == 1 and not held_apart:
+            if after == 0 and state != 2:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
-            after = wp.where(close, 1, 0)
             if lost > scalar(0.0):
                 after = 2  # its rows count once more
             else:

@@ -290,7 +290,7 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 @functools.cache
 def closeness_function(scalar, bonds: bool, subcycling: bool):
     """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it, but for
-    pairs that are stepped in rounds of their own.
+    pairs that are stepped in rounds of their own; and a bit for each of these.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -303,7 +303,7 @@ def closeness_function(scalar, bonds: bool, subcycling: bool):
     def close_entries(
         spheres: Spheres, pairs: Pairs, base: wp.int32, position: t.vec4, block: wp.int32, length: wp.int32
     ):
-        bits = wp.int32(0)
+        bits, held = wp.int32(0), wp.int32(0)
         b = wp.int32(0)
         x = xyz(position)
         while b < length:
@@ -315,9 +315,11 @@ def closeness_function(scalar, bonds: bool, subcycling: bool):
                 close = close or kind > 0
                 if wp.static(subcycling):
                     close = close and kind != HYDRATED
+                    if kind == HYDRATED:
+                        held = held | (1 << b)
             if close:
                 bits = bits | (1 << b)
             b = b + 1
-        return bits
+        return bits, held
 
     return close_entries

@@ -183,7 +183,7 @@ def links_struct(scalar):
     class Links:
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, from the scene's first; or -1
         scene: wp.array(dtype=wp.int32)  # number in the batch, shape (links,) as the rest
-        touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before
+        touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before, 3: a stiff bond holds it
         more: wp.array(dtype=wp.int32)  # as `touching` of spheres, of the entries after those, MORE for each sphere
         end: wp.array(dtype=wp.int32)  # of each entry of the lists: its link p from the scene's first, of twins -1 - p
         pull: wp.array(dtype=t.vec4)  # rows of what a link gave in this step. Of two: force on its lower sphere [N] and

@@ -357,7 +357,7 @@ def body_kernel(scalar):
 
 @functools.cache
 def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """Kernel of all `rounds` of a step on a GPU, so many `threads` in blocks that stay: of two kernels a round each had
+    """Kernel of all rounds of a step on a GPU, so many `threads` in blocks that stay: of two kernels a round each had
     the next one wait for it."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -374,7 +374,6 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
         # how
         threads: wp.int32,
         parties: wp.int32,
-        rounds: wp.int32,
         body_count: wp.int32,
         pair_count: wp.int32,
         # state, read
@@ -386,7 +385,12 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
         gate: wp.array(dtype=wp.int32),
     ):
         thread = wp.tid()
-        for turn in range(rounds):
+        # No barrier for scenes that all wait: flags stay as they are in here, so all threads see the same.
+        most = wp.int32(0)
+        for s in range(flags.shape[0]):
+            if flags[s, HALTED] == 0:
+                most = wp.max(most, subcycled.rounds[s])
+        for turn in range(most):
             for q in range(thread, body_count, threads):
                 body_round(q, turn, flags, scenes, subcycled)
             gather(gate, parties)

@@ -22,7 +22,7 @@ OLD = 256
 """Steps after which threads have larger graphs captured: chunks may change before."""
 NEVER = 2**31 - 1
 """A count of steps that no scene gets to."""
-SOONER, LATER = 0.95, 1.05
+SOONER, LATER = 0.95, 1.1
 """By what factor lists are expected to last less than they did, and, where they were built anew before they were stale,
 longer than was expected."""
 ALONG = 0.6
@@ -39,6 +39,7 @@ class Ahead:
         self.parallel, self.scenes = parallel, scenes
         self._built = np.zeros(scenes, dtype=np.int64)  # completed steps when the lists were built
         self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)  # steps that they are expected to
+        self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
         self._since_captured = 0
 
     def stepped(self, launched: int) -> None:
@@ -66,7 +67,7 @@ class Ahead:
         chosen &= flags[:, int(FAILED)] == 0
         # Where bodies are to be sorted that says nothing of how long lists last.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
-        came = chosen & stale & ~early
+        came = chosen & stale & ~early & self._whole
         self._lasting[came] = np.maximum((1.0 if self.scenes == 1 else SOONER) * age[came], BRIEF)
         if self.scenes == 1 or not self.parallel:
             return np.flatnonzero(stale)
@@ -77,13 +78,13 @@ class Ahead:
         return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
 
     def joined(self, s: int, steps: int) -> None:
-        """Scene `s` comes with lists, having completed so many steps."""
-        self._built[s] = steps
+        """Scene `s` comes with lists, who knows how old, having completed so many steps."""
+        self._built[s], self._whole[s] = steps, False
 
     def built(self, flags: np.ndarray) -> None:
         """Lists of the scenes that are stale by these flags are new."""
         stale = flags[:, int(STALE)] != 0
-        self._built[stale] = flags[stale, int(STEPS)]
+        self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
 
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it.

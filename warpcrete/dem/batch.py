@@ -208,6 +208,7 @@ class Batch(JointArrays):
     def launch(self) -> None:
         """Launch steps until some scene needs looking after; a GPU takes them while Python goes on."""
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
+        interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         self.device_changed()
         rounds = 0 if self.parallel else self.subcycles.rounds  # which a GPU takes in one kernel
         largest = self.ahead.largest_graph(self.threads, rounds)
@@ -216,7 +217,7 @@ class Batch(JointArrays):
         try:
             for count in pieces:
                 # From one estimate to the next a GPU takes one graph.
-                whole = self.parallel and count == self.rows["interval"].min() and count <= largest
+                whole = self.parallel and count == interval and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
                 if self._between is not None:

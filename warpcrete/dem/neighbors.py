@@ -76,7 +76,7 @@ class NeighborLists:
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self.builds = np.zeros(batch.count, dtype=int)
-        """Of each scene, so far."""
+        """Of each scene, since it came to this batch."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -115,11 +115,12 @@ class NeighborLists:
         """Rebuild the lists of every scene that is marked stale."""
         b = self.batch
         b.device_changed()
+        flags, sort_every = b.host_flags(), b.rows["sort_every"]
         if b.sphere_count == 0:
+            b.ahead.built(flags)
             self._launches(False).clear_stale()
             b.device_changed()
             return
-        flags, sort_every = b.host_flags(), b.rows["sort_every"]
         stale = flags[:, int(STALE)] != 0
         # By steps: when lists are built besides is nobody's business, and changes no bits.
         b.ahead.built(flags)

@@ -46,6 +46,11 @@ def rounds_for(ratio: float) -> int:
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
 
 
+def round_blocks(count: int, multiprocessors: int, abreast: int) -> int:
+    """Blocks that take the rounds of so many pairs or bodies: all of as many batches have room at once."""
+    return max(1, min(-(-count // ROUND_BLOCK), RESIDENT * multiprocessors // abreast))
+
+
 class Subcycles:
     """Pairs of a batch that are stepped in rounds, in the order of their spheres' permanent numbers."""
 
@@ -57,8 +62,7 @@ class Subcycles:
         self.batch = batch
         self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
-        self.abreast = 1
-        """Batches whose rounds a GPU may have at the same time."""
+        self._abreast = 1
         self._gate = wp.zeros(1, dtype=wp.int32, device=batch.device)
         self._join()
 
@@ -66,6 +70,17 @@ class Subcycles:
     def rounds(self) -> int:
         """Rounds of the scene that has most."""
         return int(self._rounds.max(initial=0))
+
+    @property
+    def abreast(self) -> int:
+        """Batches whose rounds a GPU may have at the same time."""
+        return self._abreast
+
+    @abreast.setter
+    def abreast(self, count: int) -> None:
+        if count != self._abreast:
+            self._abreast = count
+            self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
         """Take the hydrated bonds that scene `s` has now; no other scene changes."""
@@ -231,13 +246,12 @@ class Subcycles:
     def _all_rounds(self) -> Stage:
         """Those of a GPU, whose blocks must all have room at once."""
         b, f = self.batch, self.batch.features
-        blocks, count = 1, max(self.pair_count, self.body_count)
-        if b.device.is_cuda:
-            blocks = max(1, min(-(-count // ROUND_BLOCK), RESIDENT * b.device.sm_count // self.abreast))
+        count = max(self.pair_count, self.body_count)
+        blocks = round_blocks(count, b.device.sm_count, self.abreast) if b.device.is_cuda else 1
         threads = blocks * (ROUND_BLOCK if b.device.is_cuda else 1)
         kernel = rounds_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
         return b.stage(
-            kernel, threads if count else 0, block=ROUND_BLOCK, threads=threads, parties=blocks, rounds=self.rounds,
+            kernel, threads if count else 0, block=ROUND_BLOCK, threads=threads, parties=blocks,
             body_count=self.body_count, pair_count=self.pair_count, subcycled=self.arrays, gate=self._gate,
         )  # fmt: skip
 
