@@ -22,6 +22,7 @@ from warpcrete.dem.scene import AxisDrive, Bodies, Bonds, Contact, Hydration, Sc
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
 from warpcrete.geometry.axis import Axis, Line
+from warpcrete.kernels.dem.bond_parallel import HYDRATED
 
 SMALL = dict(length=0.12, diameter=0.06, ramp=0.02, travel=8e-3, settle=0.03, size_min=8e-3, size_max=12e-3)
 FOREVER = dict(tensile_strength=1e12, cohesion=1e12)
@@ -215,6 +216,33 @@ def test_a_broken_pair_is_a_contact_as_all_others(device):
         ends[rounds] = by_id(stepper.state, "velocity"), by_id(stepper.state, "spin")
     for one, other in zip(ends[1], ends[20]):
         assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
+def test_what_a_stiff_bond_held_parts_at_the_first_look(device, way):
+    """A bond breaks in its rounds, and by the end of the step the two are apart: what they remember of the touch goes,
+    and not at the next touch or when lists are built."""
+    scene = scene_of(rod(2, gap=-2e-4), modulus=1e7, contact=Contact(friction=0.2))
+    scene = dataclasses.replace(scene, time_step=TimeStep(fixed=1e-5))
+    with nullcontext() if device.startswith("cuda") else way():
+        stepper = bonded(scene, device, rounds=4)
+        stepper.take(3)
+        pairs, held = stepper.state.pairs, stepper.batch.subcycles.arrays
+        bond, history = pairs.bond.numpy(), pairs.history.numpy()
+        broken = bond == int(HYDRATED)
+        assert broken.any()
+        bond[broken], history[broken, :3] = -1, 1e-6
+        pairs.bond.assign(bond)
+        pairs.history.assign(history)
+        held.active.zero_()
+        for array in (stepper.state.spheres.position, stepper.state.bodies.position):
+            place = array.numpy()
+            place[np.argmax(place[:, 0]), 0] += 3e-4
+            array.assign(place)
+        stepper.take(1)
+        # Of a full list's two entries the twin holds none.
+        own = broken & (pairs.other.numpy() >= 0) if stepper.batch.parallel else broken
+        assert own.any() and np.all(pairs.history.numpy()[own] == 0)
 
 
 @pytest.mark.thorough
