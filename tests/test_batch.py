@@ -303,9 +303,7 @@ def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device):
 @pytest.mark.thorough
 def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
     """Blocks that wait for one another must all have room: of two batches each has half of it, and the same bits."""
-    assert (
-        round_blocks(10**6, 132, 1) == 264 and round_blocks(10**6, 132, 2) == 132 and round_blocks(10**6, 132, 500) == 1
-    )
+    assert [round_blocks(10**6, 132, abreast) for abreast in (1, 2, 500)] == [264, 132, 1]
     assert round_blocks(1, 132, 1) == 1 and round_blocks(129, 132, 2) == 2
     monkeypatch.setattr(regrouping, "PATIENCE", 1000)
     some = [

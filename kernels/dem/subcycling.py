@@ -15,7 +15,6 @@ another velocity by the time they act. So a step is half of what contacts alone 
 """
 
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
@@ -27,78 +26,12 @@ from .clump_motion import carry_function
 from .contacts import contact_options
 from .motion import motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
-from .search import find_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 PART = 0.5
 """Of the stable step by all else, that a step may have."""
 RELAXATION = 0.01
 """Time of a stiff bond's dashpots, damping over stiffness, over the step."""
-
-
-@functools.cache
-def locating_kernels(scalar, half: bool, history: bool):
-    """Kernels ``note_spheres``, ``note_bodies``, ``locate_pairs`` and ``locate_bodies``: where everything is after a
-    rebuild of the lists."""
-    structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
-    Subcycled = subcycled_struct(scalar)
-    find = find_function(scalar, half)
-    find_own = find_function(scalar, False)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def note_spheres(scenes: Scenes, spheres: Spheres, sphere_place: wp.array(dtype=wp.int32)):
-        i = wp.tid()
-        sphere_place[scenes.row[spheres.scene[i]].spheres + spheres.id[i]] = i
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def note_bodies(scenes: Scenes, bodies: Bodies, subcycled: Subcycled, body_place: wp.array(dtype=wp.int32)):
-        b = wp.tid()
-        body_place[scenes.row[bodies.scene[b]].bodies + bodies.id[b]] = b
-        subcycled.member[b] = 0
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def locate_bodies(scenes: Scenes, bodies: Bodies, body_place: wp.array(dtype=wp.int32), subcycled: Subcycled):
-        q = wp.tid()
-        b = body_place[scenes.row[subcycled.body_scene[q]].bodies + subcycled.body_number[q]]
-        subcycled.place[q] = b
-        subcycled.member[b] = q + 1
-        subcycled.mass[q] = bodies.mass[b]
-        subcycled.inertia[q] = bodies.inertia[b]
-        subcycled.rounding[q] = bodies.rounding[b]
-        subcycled.velocity[q] = bodies.velocity[b]
-        subcycled.angular_momentum[q] = bodies.angular_momentum[b]
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def locate_pairs(
-        scenes: Scenes, spheres: Spheres, pairs: Pairs, sphere_place: wp.array(dtype=wp.int32), subcycled: Subcycled
-    ):
-        p = wp.tid()
-        s = subcycled.pair_scene[p]
-        base = scenes.row[s].spheres
-        i = sphere_place[base + subcycled.lower[p]]
-        j = sphere_place[base + subcycled.higher[p]]
-        subcycled.lower_offset[p] = spheres.offset[i]
-        subcycled.higher_offset[p] = spheres.offset[j]
-        row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
-        subcycled.law[p] = row + spheres.material[j]
-        # A pair in two chunks, or in a full list, stands at both spheres: both entries must hold the same.
-        k = find(pairs, s, base, scenes.row[s].pairs, i, j)
-        copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
-        subcycled.entry[p] = k
-        subcycled.copy[p] = wp.where(copy == k, -1, copy)
-        subcycled.active[p] = 0
-        if k >= 0:  # else parted, long after its bond broke
-            subcycled.active[p] = wp.where(pairs.bond[k] == HYDRATED, 1, 0)
-            subcycled.held.bond[p] = pairs.bond[k]
-            subcycled.held.bond_force[p] = pairs.bond_force[k]
-            subcycled.held.bond_moment[p] = pairs.bond_moment[k]
-            if wp.static(history):
-                subcycled.held.history[p] = pairs.history[k]
-
-    return SimpleNamespace(
-        note_spheres=note_spheres, note_bodies=note_bodies, locate_pairs=locate_pairs, locate_bodies=locate_bodies
-    )
 
 
 @functools.cache

@@ -236,10 +236,9 @@ class NeighborLists:
         self._keep_old(np.arange(b.count))
         each = self._launches(False)
         few = []
-        if b.parallel and self._searchers == 1 and b.count > 1:  # one or some of the scenes may be few
-            self._searchers = OCTANTS
-            few = [*self._launches(False).search, *self._launches(False).fill]
-            self._searchers = 1
+        if b.parallel and self._searchers == 1 and b.count > 1:  # some of the scenes may have few spheres
+            other = self._launches(False, OCTANTS)
+            few = [*other.search, *other.fill]
         order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
@@ -298,18 +297,19 @@ class NeighborLists:
                 if count:  # else `copy` takes all
                     wp.copy(kept, array, first, first, count)
 
-    def _launches(self, sorted_now: bool) -> _Launches:
-        """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now."""
+    def _launches(self, sorted_now: bool, searchers: int | None = None) -> _Launches:
+        """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now; by
+        so many threads a sphere, or as many as search now."""
         version = self.batch.version, self._cells.grid.id
         if self._version != version:
             self._recorded.clear()
             self._version = version
-        key = sorted_now, self._searchers
+        key = sorted_now, searchers or self._searchers
         if key not in self._recorded:
-            self._recorded[key] = self._record(sorted_now)
+            self._recorded[key] = self._record(*key)
         return self._recorded[key]
 
-    def _record(self, sorted_now: bool) -> _Launches:
+    def _record(self, sorted_now: bool, searchers: int) -> _Launches:
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
         new_place = self._new_place if sorted_now else self._identity
@@ -333,10 +333,10 @@ class NeighborLists:
             ]  # fmt: skip
             fill = []
         else:
-            search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, self._searchers)
+            search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, searchers)
             finds = {"count": self._count, "finds": self._finds, "new_place": new_place, **cells, **before}
-            search = [b.stage(search_kernel, n * self._searchers, total=self._total, **finds)]
-            fill = [b.stage(fill_kernel, n * self._searchers, **finds)]
+            search = [b.stage(search_kernel, n * searchers, total=self._total, **finds)]
+            fill = [b.stage(fill_kernel, n * searchers, **finds)]
 
         def starts(start: wp.array, total: wp.array) -> Stage:
             return b.stage(lists.starts, n + b.count, scanned=self._scanned, start=start, total=total)

@@ -11,15 +11,9 @@ import warp as wp
 from ..core.launching import Stage
 from ..kernels.common.types import SPAN
 from ..kernels.dem.bond_parallel import HYDRATED
+from ..kernels.dem.locating import locating_kernels
 from ..kernels.dem.structs import subcycled_struct
-from ..kernels.dem.subcycling import (
-    RELAXATION,
-    body_kernel,
-    foreseeing_kernel,
-    locating_kernels,
-    pair_kernel,
-    rounds_kernel,
-)
+from ..kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
 from .probes import listed_pairs
 from .state import pair_bytes
 
