@@ -15,16 +15,19 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run_loop import Recorder, Run
-from warpcrete.dem import regrouping, subcycling
+from warpcrete.dem import regrouping, stepper, subcycling
+from warpcrete.dem.ahead import Ahead
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.memory import check_memory, memory_needed
 from warpcrete.dem.model import build_model
+from warpcrete.dem.neighbors import NeighborLists
 from warpcrete.dem.restoring import state_hash
 from warpcrete.dem.scene import Bodies, Scene, Watch
 from warpcrete.dem.state import State
 from warpcrete.dem.subcycling import round_blocks
 from warpcrete.geometry.walls import PlaneWall
+from warpcrete.kernels.common.control import STALE
 
 SMALL = dict(
     length=0.12, diameter=0.08, ramp=0.02, travel=0.03, settle=0.02, size_min=8e-3, size_max=16e-3, plug="plate"
@@ -53,8 +56,9 @@ def touches_mesh(simulation) -> bool:
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision):
+def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monkeypatch):
     """Clumps, bonds that heal, a spinning mesh, a driven plate; scenes that end at different times."""
+    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
     some = [dataclasses.replace(mixed_scene(seed), duration=0.06 + 0.01 * seed) for seed in (0, 1, 2, 3)]
     together = simulate(device, some, precision=precision)
     batched = run_batch(together)
@@ -214,7 +218,7 @@ def mixed(part):
 
 
 def drops(part):
-    return dataclasses.replace(falling(0.1 + 0.1 * part), duration=0.015 + 0.015 * part)
+    return dataclasses.replace(falling(0.1 + 0.1 * part), duration=0.015 + 0.03 * part)
 
 
 def hydrated(part):
@@ -252,7 +256,7 @@ def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, parts, ma
         assert {stepper.batch.count for stepper in steppers} == {len(steppers)}
 
     monkeypatch.setattr(regrouping, "regroup", noted)
-    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    monkeypatch.setattr(regrouping, "PATIENCE", 1)
     some = [scene(part) for part in parts]
     with like_a_gpu(device):
         batched = run_batch(simulate(device, some))
@@ -290,8 +294,9 @@ def test_a_batch_is_not_made_anew_where_there_is_no_room_for_it(monkeypatch):
 
 
 @pytest.mark.thorough
-def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device):
+def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device, monkeypatch):
     """Two batches at a time, each on a stream of its own where there are streams."""
+    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
     some = [mixed(0), falling(0.1), mixed(1), falling(0.2)]
     with like_a_gpu(device):
         simulations = simulate(device, some)
@@ -334,3 +339,58 @@ def test_an_interruption_of_one_scene_ends_those_abreast(device):
         runs = run_batch(simulations)
         assert len({id(s.stepper.batch) for s in simulations}) == 2
     assert all(isinstance(run, Run) and not run.finished for run in runs)
+
+
+def breaking(part):
+    """Stiff bonds that break in their rounds, as parts are drawn apart, and may heal."""
+    weak = dict(hydration=0.5, hydration_modulus=1e7, hydration_strength=2e3, hydration_rounds=8, healing=True)
+    return scenes.pipe(seed=part, velocity=2.0, energy_balance=True, **weak, **SMALL | dict(travel=0.03, ramp=1e-3))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["half lists", "full lists"])
+@pytest.mark.parametrize(
+    ("scene", "bonds"), [(lambda part: dataclasses.replace(mixed_scene(part), duration=0.05), 0), (breaking, 100)]
+)
+def test_lists_may_be_built_at_any_time(scene, bonds, way, monkeypatch):
+    """Those of any scene of a batch or one alone, at any look, are as good as those of one that is stale: meshes, bonds
+    that heal or break in rounds, bodies sorted on the way. Only so may scenes of a batch have theirs built together."""
+    some = [scene(part) for part in (0, 1, 2)]
+    monkeypatch.setattr(stepper, "SORT_EVERY", {"cpu": 100, "cuda": 100})
+    built, due = [], Ahead.due
+    with way():
+        ones = alone("cpu", some)
+        rng = np.random.default_rng(1)
+
+        def at_random(self, flags, sort_every, among):
+            more = rng.choice(among, size=rng.integers(len(among) + 1), replace=False) if among else []
+            found = np.union1d(due(self, flags, sort_every, among), more).astype(int)
+            built.append(len(found))
+            return found
+
+        monkeypatch.setattr(Ahead, "due", at_random)
+        together = simulate("cpu", some)
+        check_the_same(ones, run_batch(together))
+    assert np.count_nonzero(built) > 20 and max(built) == 3
+    assert sum(s.state.spheres.broken.numpy().sum() for s in together) >= bonds
+
+
+def test_scenes_of_a_batch_have_their_lists_built_together(monkeypatch):
+    """Before they are stale, as soon as it is known how long they last; and not much more often than alone."""
+    counts = []
+    with share_out_like_a_gpu():
+        call = NeighborLists.__call__
+
+        def counting(self):
+            counts.append(np.count_nonzero(self.batch.host_flags()[:, int(STALE)]))
+            call(self)
+
+        ones = simulate("cpu", [scenes.pipe(seed=seed, **SMALL) for seed in range(4)])
+        for one in ones:
+            one.run()
+        together = simulate("cpu", [scenes.pipe(seed=seed, **SMALL) for seed in range(4)])
+        monkeypatch.setattr(NeighborLists, "__call__", counting)
+        run_batch(together)
+    built = together[0].stepper.lists.builds
+    assert np.mean(counts) > 2.5  # 1.5 where each has its own built when they are stale
+    assert built.sum() < 1.6 * sum(one.stepper.lists.builds[0] for one in ones)

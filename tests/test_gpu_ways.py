@@ -28,13 +28,14 @@ from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
-from warpcrete.kernels.common.control import ESTIMATED, FLAGS, GOAL, HALTED, STEPS
+from warpcrete.kernels.common.control import ESTIMATED, FAILED, FLAGS, GOAL, HALTED, STALE, STEPS
 from warpcrete.kernels.common.reductions import BLOCK
-from warpcrete.kernels.dem import links
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
 from warpcrete.kernels.dem.subcycling import foreseeing_kernel, rounds_kernel
+from warpcrete.kernels.dem.surfaces import surface_kernel
+from warpcrete.kernels.dem.warps import WARP
 from warpcrete.kernels.mps import resident_solver
 from warpcrete.kernels.mps.two_level import resident_two_level
 from warpcrete.mps import stages
@@ -63,7 +64,7 @@ def test_sizes_of_launches_in_one_dimension_and_several():
 @pytest.mark.parametrize(
     ("device", "given", "steps"),
     [
-        ("gpu", {}, [18, 20, 20, 6]),  # until lists are expected to be stale, the estimate two steps old
+        ("gpu", {}, [18, 20, 14]),  # until lists are expected to be stale, the estimate two steps old
         ("gpu", {"goal": 5}, [5]),
         ("gpu", {"time": 0.9985}, [2]),
         ("gpu", {"time": 0.9999999999}, [1]),
@@ -81,6 +82,35 @@ def test_steps_ahead_end_where_the_scene_must_be_looked_after(device, given, ste
     clock[0, [int(TIME), int(DT)]] = given.get("time", 0.0), given.get("dt", 1e-3)
     rows = np.array([(1.0, 20)], dtype=[("until", float), ("interval", int)])
     assert Ahead(device == "gpu", 1).pieces(flags, clock, rows) == steps
+
+
+def two_scenes(steps, estimated, goal=1000):
+    flags, clock = np.zeros((2, FLAGS), dtype=np.int32), np.zeros((2, CLOCK))
+    flags[:, int(STEPS)], flags[:, int(ESTIMATED)], flags[:, int(GOAL)] = steps, estimated, goal
+    clock[:, int(DT)] = 1e-3
+    rows = np.array([(np.inf, 20, 4000)] * 2, dtype=[("until", float), ("interval", int), ("sort_every", int)])
+    return flags, clock, rows
+
+
+def test_scenes_of_a_batch_come_to_their_estimates_together():
+    """From one to the next in one piece; who had to wait waits for it; no piece begins that lists will not last for."""
+    ahead = Ahead(True, 2)
+    assert ahead.pieces(*two_scenes((20, 20), (20, 20))) == [20, 20]
+    assert ahead.pieces(*two_scenes((40, 33), (40, 20))) == [20, 20]
+    assert ahead.pieces(*two_scenes((33, 32), (20, 20))) == [8, 20]
+    assert ahead.pieces(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
+    flags, _, rows = two_scenes((60, 60), (60, 60))
+    flags[0, int(STALE)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # nothing is known of the other's
+    ahead.built(flags)
+    assert ahead.pieces(*two_scenes((80, 80), (80, 80))) == [20]  # 37 more steps
+    flags, _, rows = two_scenes((118, 118), (118, 118))
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # 58 steps, and it took 57 to be stale
+    assert ahead.due(flags, rows["sort_every"], [1]).tolist() == []  # who has ended wants none
+    flags[1, int(STALE)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0, 1]
+    flags[0, int(FAILED)] = 1
+    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [1]
 
 
 @pytest.mark.parametrize("largest", [1, 16, 64])
@@ -323,8 +353,8 @@ def kernels_of_a_step(pick):
             # A CPU's warp is one thread; those of a GPU compile another text.
             warps = [
                 gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
-                clump_kernel(batch.scalar, True, True, True, False, True, True, 4, links.WARP),
-                links.surface_kernel(batch.scalar, wall_law, True, False, links.WARP),
+                clump_kernel(batch.scalar, True, True, True, False, True, True, 4, WARP),
+                surface_kernel(batch.scalar, wall_law, True, False, WARP),
                 foreseeing_kernel(batch.scalar, True, False, True),
                 rounds_kernel(batch.scalar, law, True, True, True),
             ]

@@ -33,6 +33,7 @@ def box(kind, count, spread):
 def stepped(scene, many, monkeypatch, precision):
     monkeypatch.setattr(neighbors, "MANY", many)
     monkeypatch.setattr(stages, "MANY", many)
+    monkeypatch.setattr(stages, "WALL_THREADS", many)
     monkeypatch.setattr(stages, "CLOSE_LINKS", 0.02 if many == 0 else 0.5)
     model = build_model(scene, find_device("cuda:0"), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
@@ -52,7 +53,7 @@ def stepped(scene, many, monkeypatch, precision):
 )
 def test_lists_and_bits_are_those_of_one_thread(kind, spread, precision, monkeypatch):
     """Rows of lists by octants and by one search, clumps by one thread and by four, near links by few threads and by
-    many; at rest and moving, lists built several times."""
+    many, walls by one and by eight; at rest and moving, lists built several times."""
     one, few = (stepped(box(kind, 3000, spread), many, monkeypatch, precision) for many in (0, 10**9))
     assert one.lists._searchers == 1 and few.lists._searchers == neighbors.OCTANTS
     assert one.lists.builds[0] == few.lists.builds[0] > 1

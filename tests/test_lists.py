@@ -142,7 +142,7 @@ def test_an_empty_scene_takes_no_cells_from_others(way):
 def test_a_column_that_ends_flat_has_cells_that_fit(way):
     """Where there are not cells enough for both, those for how it is now; and once they fit they stay."""
     (stepper,) = started([cloud(3000, (0.05, 0.05, 1.5), 15)], way)
-    stepper.lists.sort_every[0] = 1
+    stepper.batch.set(0, sort_every=1)
     flat = cloud(3000, (0.8, 0.8, 0.01), 16).bodies[0].positions
     for array in (stepper.state.spheres.position, stepper.state.bodies.position):
         values = array.numpy().copy()
@@ -213,7 +213,7 @@ def test_what_spreads_gets_more_cells(way):
     stepper.state.spheres.position.assign(position)
     bodies = stepper.state.bodies.position.numpy().copy()
     stepper.state.bodies.position.assign(6 * bodies)
-    stepper.lists.sort_every[0] = 1
+    stepper.batch.set(0, sort_every=1)
     stepper.rebuild()
     assert np.all(stepper.lists._cells._dims > before)
     found, (sure, perhaps) = listed(stepper), near(stepper)
@@ -225,7 +225,7 @@ def test_a_state_that_is_no_number_does_not_stop_the_cells(way):
     position = stepper.state.spheres.position.numpy().copy()
     position[:250, 0] = np.nan
     stepper.state.spheres.position.assign(position)
-    stepper.lists.sort_every[0] = 1
+    stepper.batch.set(0, sort_every=1)
     stepper.rebuild()
     found, (sure, perhaps) = listed(stepper), near(stepper)
     assert sure <= found <= perhaps and len(sure) > 10  # no pair of what is nowhere

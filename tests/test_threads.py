@@ -51,7 +51,7 @@ def flow(packing, threads, steps=400, **settings):
     return stepper
 
 
-OFTEN = dict(steps=2000, sort_every=1, skin=2e-4)  # so thin a skin that lists are built and sorted many times
+OFTEN = dict(steps=2000, sort_every=100, skin=2e-4)  # so thin a skin that lists are built and sorted many times
 
 
 @pytest.fixture(scope="module")

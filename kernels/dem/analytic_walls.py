@@ -15,22 +15,30 @@ from ..common.types import SPAN, types, vector_functions
 from ..common.walls import FIXED, wall_functions
 from .contact_law import contact_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
+from .warps import warp_functions
 from .wear import wear_functions
 
 FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
 WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
-COMMON_WALL = """
+LEADER = """
 #if defined(__CUDA_ARCH__)
-    const unsigned touching = __ballot_sync(0xffffffffu, touches);
-    if (touching == 0) return 0;
-    const int first = __shfl_sync(0xffffffffu, w, __ffs(touching) - 1);
-    return __all_sync(0xffffffffu, !touches || w == first) ? first + 1 : -1;
+    unsigned column = 0;
+    for (int at = threadIdx.x & (lanes - 1); at < 32; at += lanes) column |= 1u << at;
+    const unsigned touching = __ballot_sync(0xffffffffu, touches) & column;
+    const int first = touching == 0 ? 0 : __ffs(touching) - 1;
+    const int common = __shfl_sync(0xffffffffu, w, first);
+    const bool same = (__ballot_sync(0xffffffffu, touches && w != common) & column) == 0;
+    return touching == 0 ? 32 : same ? first : -1;
 #else
-    return touches ? -1 : 0;
+    return touches ? 0 : 32;
 #endif
 """
 WARP_TOTAL = """
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+    if (lanes > 1) {
+        for (int away = 16; away >= lanes; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
+        return value;
+    }
     // In three parts, of which 32 add up to less than 32 bits: one instruction adds up each.
     const unsigned low = value & 0x3fffff, middle = (value >> 22) & 0x3fffff;
     const int high = (int)(value >> 44);
@@ -38,7 +46,7 @@ WARP_TOTAL = """
             + ((long long)(__reduce_add_sync(0xffffffffu, middle)) << 22)
             + (long long)(__reduce_add_sync(0xffffffffu, low)));
 #elif defined(__CUDA_ARCH__)
-    for (int away = 16; away > 0; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
+    for (int away = 16; away >= lanes; away /= 2) value += __shfl_xor_sync(0xffffffffu, value, away);
     return value;
 #else
     return value;
@@ -64,34 +72,32 @@ def wall_force_function(scalar):
 
 @functools.cache
 def warp_force_function(scalar):
-    """`add_together`: the same for all threads of a warp, of which some touch: first among themselves, then once.
-
-    All spheres that touch a wall add to the same six numbers; one by one they take most of a small step.
+    """`add_together`: the same for all threads of a warp, first of those among themselves that are `lanes` apart, then
+    once: a wall is added to by all spheres that touch it, which one by one takes most of a small step.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)
 
-    @wp.func_native(COMMON_WALL)
-    def common_wall(touches: wp.bool, w: wp.int32) -> wp.int32: ...  # 1 more than the wall of all, 0: none, -1: several
+    @wp.func_native(LEADER)
+    def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...  # first that touches; -1: several walls
 
     @wp.func_native(WARP_TOTAL)
-    def warp_total(value: wp.int64) -> wp.int64: ...
+    def warp_total(value: wp.int64, lanes: wp.int32) -> wp.int64: ...
 
     @wp.func
     def add_together(
-        step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, lane: wp.int32, w: wp.int32, f: t.vec3, m: t.vec3,
-        scale: wp.float64,
+        step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
+        f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """All threads of a warp must call; f and m are 0 where nothing touches."""
-        common = common_wall(touches, w)
-        if common > 0:
-            for c in range(3):
-                force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)))
-                moment = warp_total(wp.int64(wp.round(wp.float64(m[c]) * scale)))
-                if lane == 0:
-                    wp.atomic_add(step_force, 0, common - 1, c, force)
-                    wp.atomic_add(step_force, 0, common - 1, c + 3, moment)
-        elif touches:
+        """All threads of a warp must call, some of which touch; f and m are 0 where nothing does."""
+        first = leader(touches, w, lanes)
+        for c in range(3):
+            force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)), lanes)
+            moment = warp_total(wp.int64(wp.round(wp.float64(m[c]) * scale)), lanes)
+            if thread == first:
+                wp.atomic_add(step_force, 0, w, c, force)
+                wp.atomic_add(step_force, 0, w, c + 3, moment)
+        if first < 0 and touches:
             add_to_wall(step_force, 0, w, f, m, scale)
 
     return add_together
@@ -128,15 +134,10 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
-def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool):
-    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
-    threads of a warp must call; one that has nothing to look at says that it is not `here`.
-
-    Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
-    far the nearest was; `far_from_walls` tells by this whether it must look again.
-    """
+def meeting_function(scalar, law, dissipation: bool, wear: bool):
+    """`meet`: what a sphere has of the plane or pipe of a slot: how far its surface is, whether they touch, force and
+    moment on the sphere, moment on the wall, and lost energy. It steps what the contact remembers."""
     t = types(scalar)
-    SceneRow = scene_struct(scalar)
     structs = array_structs(scalar)
     Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
     shape = wall_functions(scalar)
@@ -149,9 +150,81 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     surface_touch = surface_touch_function(scalar)
     worn_by, in_frame = wear_functions(scalar, law).worn_by, wear_functions(scalar, law).in_frame
     xyz = vector_functions(scalar).xyz
+
+    @wp.func
+    def meet(
+        i: wp.int32, slot: wp.int32, w: wp.int32, row: wp.int32, remembers: wp.bool, dt: scalar,
+        parameters: wp.array(dtype=Parameters), segments: wp.array(dtype=Segment), spheres: Spheres, slots: Slots,
+        walls: Walls,
+    ):  # fmt: skip
+        x, radius = xyz(spheres.position[i]), spheres.position[i][3]
+        velocity, spin = spheres.velocity[i], xyz(spheres.spin[i])
+        touches = wp.bool(False)
+        f = t.vec3()
+        moment = t.vec3()
+        m = t.vec3()
+        lost = wp.float64(0.0)
+        distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
+        gap = distance - radius
+        if gap < scalar(0.0):
+            touches = wp.bool(True)
+            n = into_wall(walls.table[w], direction)  # from the sphere into the wall
+            touch, point = surface_touch(
+                walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity, spin, dt
+            )  # fmt: skip
+            p = parameters[row + walls.table[w].material]
+            f, new_history, slid = contact_force(p, touch, slots.history[i, slot], dt)
+            slots.history[i, slot] = new_history
+            lost = wp.float64(slid)
+            moment = wp.cross((radius + gap) * n, f)
+            m = wp.cross(point - walls.position[w], -f)
+            if wp.static(wear):
+                slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, slid, dt)
+                slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
+            if wp.static(rolls):
+                turning = walls.spin[w] - spin
+                held_back, rolled, rolling_lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
+                slots.rolling[i, slot] = rolled
+                lost += wp.float64(rolling_lost)
+                moment += held_back
+                m = m - held_back
+        elif remembers:
+            if wp.static(dissipation):
+                touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
+                p = parameters[row + walls.table[w].material]
+                lost = wp.float64(contact_energy(p, touch, slots.history[i, slot]))
+                if wp.static(rolls):
+                    lost += wp.float64(moment_energy(p, touch, slots.rolling[i, slot]))
+            slots.history[i, slot] = t.vec3()
+            if wp.static(rolls):
+                slots.rolling[i, slot] = t.vec3()
+        return distance, touches, f, moment, m, lost
+
+    return meet
+
+
+@functools.cache
+def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool, width: int = 1):
+    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
+    threads of a warp of `width` must call; one that has nothing to look at says that it is not `here`. So many `lanes`
+    beside one another have a sphere in common, and walls in turn; what they find is added up in the order of the walls.
+
+    Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
+    far the nearest was; `far_from_walls` tells by this whether it must look again.
+    """
+    t = types(scalar)
+    SceneRow = scene_struct(scalar)
+    structs = array_structs(scalar)
+    Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
+    Segment, Parameters = wall_functions(scalar).Segment, law.functions(scalar).Parameters
+    meet = meeting_function(scalar, law, dissipation, wear)
+    xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     write_vec4 = row_functions(scalar).write_vec4
     add_to_wall, add_together = wall_force_function(scalar), warp_force_function(scalar)
+    together = warp_functions(scalar, width)
+    anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
+    bits_of_lanes, least_of_lanes = together.bits_of_lanes, together.least_of_lanes
 
     @wp.func
     def far_from_walls(position: t.vec4, clear: t.vec4):
@@ -166,6 +239,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         here: wp.bool,
         far: wp.bool,
         part: wp.int32,
+        lanes: wp.int32,
         dt: scalar,
         scale: wp.float64,
         parameters: wp.array(dtype=Parameters),
@@ -175,8 +249,6 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         walls: Walls,
     ):
         x = xyz(spheres.position[i])
-        radius = spheres.position[i][3]
-        velocity = spheres.velocity[i]
         total_force = t.vec3()
         total_moment = t.vec3()
         total_lost = wp.float64(0.0)
@@ -184,57 +256,47 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         row = scene.laws + spheres.material[i] * scene.materials
         before = slots.touching[i]
         now = wp.int32(0)
-        for slot in range(scene.analytic):
-            w = scene.walls + slot
+        lane = part & (lanes - 1)
+        if wp.static(half):
+            lane = wp.int32(0)
+        for place in range(0, scene.analytic, lanes):
+            slot = place + lane
+            w = scene.walls + wp.min(slot, scene.analytic - 1)
             touches = wp.bool(False)
             f = t.vec3()
+            moment = t.vec3()
             m = t.vec3()
-            if here and not (far and walls.table[w].motion == FIXED):
-                distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
-                gap = distance - radius
+            lost = wp.float64(0.0)
+            if here and slot < scene.analytic and not (far and walls.table[w].motion == FIXED):
+                remembers = slot >= WALL_BITS or ((before >> slot) & 1) != 0
+                distance, touches, f, moment, m, lost = meet(
+                    i, slot, w, row, remembers, dt, parameters, segments, spheres, slots, walls
+                )
                 if walls.table[w].motion == FIXED:
-                    nearest = wp.min(nearest, gap + radius)
-                if gap < scalar(0.0):
-                    touches = wp.bool(True)
-                    n = into_wall(walls.table[w], direction)  # from the sphere into the wall
-                    touch, point = surface_touch(
-                        walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity,
-                        xyz(spheres.spin[i]), dt,
-                    )  # fmt: skip
-                    p = parameters[row + walls.table[w].material]
-                    f, new_history, lost = contact_force(p, touch, slots.history[i, slot], dt)
-                    slots.history[i, slot] = new_history
-                    if slot < WALL_BITS:
-                        now = now | (1 << slot)
-                    total_lost += wp.float64(lost)
-                    total_force += f
-                    total_moment += wp.cross((radius + gap) * n, f)
-                    m = wp.cross(point - walls.position[w], -f)
-                    if wp.static(wear):
-                        slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, lost, dt)
-                        slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
-                    if wp.static(rolls):
-                        turning = walls.spin[w] - xyz(spheres.spin[i])
-                        held_back, rolled, lost = contact_moment(p, touch, turning, slots.rolling[i, slot], dt)
-                        slots.rolling[i, slot] = rolled
-                        total_lost += wp.float64(lost)
-                        total_moment += held_back
-                        m = m - held_back
-                elif slot >= WALL_BITS or ((before >> slot) & 1) != 0:
-                    if wp.static(dissipation):
-                        touch = wall_touch(t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), radius, velocity[3])
-                        p = parameters[row + walls.table[w].material]
-                        total_lost += wp.float64(contact_energy(p, touch, slots.history[i, slot]))
-                        if wp.static(rolls):
-                            total_lost += wp.float64(moment_energy(p, touch, slots.rolling[i, slot]))
-                    slots.history[i, slot] = t.vec3()
-                    if wp.static(rolls):
-                        slots.rolling[i, slot] = t.vec3()
+                    nearest = wp.min(nearest, distance)
+                if touches and slot < WALL_BITS:
+                    now = now | (1 << slot)
             if wp.static(half):
+                total_force += f
+                total_moment += moment
+                total_lost += lost
                 if touches:
                     add_to_wall(walls.step_force, part, w, -f, m, scale)
             else:
-                add_together(walls.step_force, touches, part, w, -f, m, scale)
+                if anywhere(touches):
+                    add_together(walls.step_force, touches, part, lanes, w, -f, m, scale)
+                    for other in range(part - lane, part - lane + lanes):
+                        total_force += t.vec3(from_lane(f[0], other), from_lane(f[1], other), from_lane(f[2], other))
+                        total_moment += t.vec3(
+                            from_lane(moment[0], other), from_lane(moment[1], other), from_lane(moment[2], other)
+                        )
+                if wp.static(dissipation):
+                    for other in range(part - lane, part - lane + lanes):
+                        total_lost += energy_from_lane(lost, other)
+        if wp.static(not half):
+            now = bits_of_lanes(now, lanes)
+            nearest = least_of_lanes(nearest, lanes)
+            here = here and lane == 0
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
@@ -284,7 +346,7 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
             if far and scenes.row[s].still != 0:
                 continue
             wall_force, wall_moment, lost = on_walls(
-                i, scenes.row[s], wp.bool(True), far, part, scalar(scenes.clock[s, DT_PREVIOUS]),
+                i, scenes.row[s], wp.bool(True), far, part, 1, scalar(scenes.clock[s, DT_PREVIOUS]),
                 scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
             )  # fmt: skip
             spheres.force[i] = spheres.force[i] + wall_force

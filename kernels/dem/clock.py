@@ -60,6 +60,7 @@ def clock_kernel(scalar, growth: bool):
         beyond_goal = steps - flags[s, GOAL]
         beyond_estimate = steps - flags[s, ESTIMATED] - scenes.row[s].interval
         until = scenes.row[s].until
+        sort_every = scenes.row[s].sort_every
         dt = wp.float64(scenes.clock[s, DT])
         time = scenes.clock[s, TIME] + dt
         since = scenes.clock[s, SINCE_BUILD] + dt
@@ -74,7 +75,8 @@ def clock_kernel(scalar, growth: bool):
         flags[s, STEPS] = steps
         if wp.static(growth):
             scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        if late != 0:
+        # Bodies are sorted with lists that are new for that: after so many steps, whenever lists are built else.
+        if late != 0 or (sort_every > 0 and steps % sort_every == 0):
             flags[s, LATE] = 0
             flags[s, STALE] = 1
             halted = WAITS

@@ -7,9 +7,10 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions, warp_functions
+from .links import pull_functions
 from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
+from .warps import warp_functions
 
 
 @functools.cache

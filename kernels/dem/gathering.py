@@ -12,34 +12,10 @@ from .contact_law import contact_functions
 from .stable_step import estimate_options, noting_functions
 from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
 from .structs import array_structs
+from .warps import group_functions
 
 ESTIMATE_LANES = 4
 """Threads of a GPU's warp that share a sphere: they read its row of the list together."""
-LANES_TOTAL = """
-#if defined(__CUDA_ARCH__)
-    const unsigned lanes = 0xfu << (threadIdx.x & 28);
-    for (int away = 2; away > 0; away /= 2) value += __shfl_xor_sync(lanes, value, away);
-#endif
-    return value;
-"""
-
-
-@functools.cache
-def lanes_function(scalar):
-    """`added_up`: the sum of six numbers over the lanes of a sphere, all of which must call."""
-    vec6 = wp.types.vector(6, scalar)
-
-    @wp.func_native(LANES_TOTAL)
-    def lanes_total(value: scalar) -> scalar: ...
-
-    @wp.func
-    def added_up(part: vec6):
-        total = vec6()
-        for c in range(6):
-            total[c] = lanes_total(part[c])
-        return total
-
-    return added_up
 
 
 @functools.cache
@@ -51,7 +27,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     thread, 0 on a GPU, where so many `lanes` of a warp share a sphere.
     """
     t = types(scalar)
-    added_up = lanes_function(scalar)
+    sum_of_group = group_functions(scalar, lanes).sum_of_group
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
         structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
@@ -110,10 +86,10 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             i, s, lane, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
         )  # fmt: skip
         if wp.static(lanes > 1):
-            sums.k = added_up(sums.k)
-            sums.c = added_up(sums.c)
-            sums.k_turn = added_up(sums.k_turn)
-            sums.c_turn = added_up(sums.c_turn)
+            sums.k = sum_of_group(sums.k)
+            sums.c = sum_of_group(sums.c)
+            sums.k_turn = sum_of_group(sums.k_turn)
+            sums.c_turn = sum_of_group(sums.c_turn)
             if lane > 0:
                 return
         first_wall = scenes.row[s].walls

@@ -2,8 +2,7 @@
 
 Lists hold every pair at both spheres; a *link* is a pair once. A step looks at those that are `near`: most links of a
 list do not touch. What a link gives is added up for each of its spheres in the order of the list, by the kernel that
-moves bodies: forces need no atomic, and bits depend on no order of threads. Planes and pipes have a kernel of their
-own, a thread a sphere, which runs beside.
+moves bodies: forces need no atomic, and bits depend on no order of threads. See :mod:`surfaces` for planes and pipes.
 """
 
 import functools
@@ -14,16 +13,12 @@ import warp as wp
 from ..common.control import HALTED
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .analytic_walls import analytic_wall_functions
 from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .contacts import contact_options
 from .linking import BITS, MORE, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
-from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, links_struct
-
-WARP = 32
-"""Threads of a warp."""
+from .structs import DT_PREVIOUS, array_structs, links_struct
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
@@ -148,28 +143,6 @@ def pull_functions(scalar, count: int):
         return force, moment, lost
 
     return SimpleNamespace(pull=pull, part_pull=part_pull, pulled=pulled)
-
-
-@functools.cache
-def warp_functions(scalar, width: int) -> SimpleNamespace:
-    """What threads of a warp do together, all of them: `anywhere` (does something hold for any), `from_lane` (a number
-    that another has; `energy_from_lane` in double precision), `settle` (what any has read, others may now write)."""
-    alone = width == 1
-    taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
-
-    @wp.func_native("return holds;" if alone else "return __any_sync(0xffffffffu, holds);")
-    def anywhere(holds: wp.bool) -> wp.bool: ...
-
-    @wp.func_native(taken)
-    def from_lane(value: scalar, lane: wp.int32) -> scalar: ...
-
-    @wp.func_native(taken)
-    def energy_from_lane(value: wp.float64, lane: wp.int32) -> wp.float64: ...
-
-    @wp.func_native("" if alone else "__syncwarp();")
-    def settle(): ...
-
-    return SimpleNamespace(anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle)
 
 
 @functools.cache
@@ -327,52 +300,6 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
         pull(links, p, total, pair.arm_i, turn, pair.arm_j, bond_moment, lost)
 
     return evaluate
-
-
-@functools.cache
-def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
-    """Kernel over spheres, in whole warps of `width` threads (1 on a CPU): force and moment of each by planes and
-    pipes, where it meets some. Meshes add theirs; what moves bodies takes them away."""
-    structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
-    Parameters = law.functions(scalar).Parameters
-    surface = analytic_wall_functions(scalar, law, False, dissipation, wear)
-    Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
-    anywhere = warp_functions(scalar, width).anywhere
-    rows = row_functions(scalar)
-    read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
-
-    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
-    def surface_contacts(
-        # model
-        wall_parameters: wp.array(dtype=Parameters),
-        segments: wp.array(dtype=Segment),
-        # state, read
-        last: wp.int32,
-        flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
-        # state, read and written
-        spheres: Spheres,
-        slots: Slots,
-        walls: Walls,
-    ):
-        i = wp.min(wp.tid(), last - 1)
-        s = spheres.scene[i]
-        here = wp.tid() < last and flags[s, HALTED] == 0
-        far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
-        near = here and (not far or scenes.row[s].still == 0)
-        if anywhere(near):
-            force, moment, lost = on_walls(
-                i, scenes.row[s], near, far, wp.tid() % width, scalar(scenes.clock[s, DT_PREVIOUS]),
-                scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
-            )  # fmt: skip
-            if near:
-                if wp.static(dissipation):
-                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
-                write_vec3(spheres.force, i, force)
-                write_vec3(spheres.moment, i, moment)
-
-    return surface_contacts
 
 
 @functools.cache

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.rows import row_functions
-from ..common.types import types, vector_functions
+from ..common.types import lowest_bit, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions
 from .contact_law import contact_functions
-from .pairs import decode
+from .pairs import BLOCK, decode
 from .structs import array_structs
+from .warps import group_functions
 
 
 @functools.cache
@@ -83,11 +84,38 @@ def stiffness_functions(scalar):
 
 
 @functools.cache
+def counting_function(scalar, bonds: bool, subcycling: bool):
+    """`counts`: whether the pair of an entry touches or is bonded; with `subcycling` either one that is stepped in
+    rounds (`stiff`) or another."""
+    structs = array_structs(scalar)
+    Spheres, Pairs = structs.Spheres, structs.Pairs
+    xyz = vector_functions(scalar).xyz
+    rows = row_functions(scalar)
+    read_int, read_vec4 = rows.read_int, rows.read_vec4
+
+    @wp.func
+    def counts(spheres: Spheres, pairs: Pairs, i: wp.int32, base: wp.int32, pair: wp.int32, stiff: wp.bool) -> wp.bool:
+        position_i = read_vec4(spheres.position, i)
+        position_j = read_vec4(spheres.position, base + decode(read_int(pairs.other, pair)))
+        length = position_i[3] + position_j[3]
+        found = wp.length_sq(xyz(position_j) - xyz(position_i)) < length * length
+        if wp.static(bonds):
+            bond = read_int(pairs.bond, pair)
+            found = found or bond > 0
+            if wp.static(subcycling):
+                found = found and (bond == HYDRATED) == stiff
+        return found
+
+    return counts
+
+
+@functools.cache
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i, or, of full lists, of every so many
-    from the `lane`-th on; a half list adds to both spheres.
+    of them from the `lane`-th on; a half list adds to both spheres.
 
-    With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others.
+    With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others. Sums do not depend on
+    what else is in a list: when that is built is nobody's business.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -103,6 +131,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
     rows = row_functions(scalar)
     read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     safe_normalize = vector_functions(scalar).safe_normalize
+    counts = counting_function(scalar, bonds, subcycling)
+    bits_of_group = group_functions(scalar, lanes).bits_of_group
 
     vec6 = wp.types.vector(6, scalar)
 
@@ -114,72 +144,86 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         c_turn: vec6
 
     @wp.func
-    def add_pairs(
-        i: wp.int32,
-        s: wp.int32,
-        lane: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        stiff: wp.bool,
-        parameters: wp.array(dtype=Parameters),
-        bond_parameters: wp.array(dtype=Bond),
-        scenes: Scenes,
-        bodies: Bodies,
-        spheres: Spheres,
-        pairs: Pairs,
-        estimate: Estimate,
-    ):
+    def add_pair(
+        sums: Sums, i: wp.int32, s: wp.int32, pair: wp.int32, first: wp.int32, last: wp.int32,
+        parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond), scenes: Scenes, bodies: Bodies,
+        spheres: Spheres, pairs: Pairs, estimate: Estimate,
+    ):  # fmt: skip
         zero = scalar(0.0)
-        sums = Sums()
-        base = scenes.row[s].spheres
         body_base = scenes.row[s].bodies
         position_i, moving_i = read_vec4(spheres.position, i), read_vec4(spheres.velocity, i)
-        xi = xyz(position_i)
-        radius_i = position_i[3]
+        xi, radius_i = xyz(position_i), position_i[3]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         arm_i = xi - read_vec3(bodies.position, body_base + spheres.body[i])
-        start = scenes.row[s].pairs
-        for pair in range(start + pairs.start[i + s] + lane, start + pairs.start[i + s + 1], wp.static(lanes)):
-            j = base + decode(read_int(pairs.other, pair))
-            position_j = read_vec4(spheres.position, j)
-            offset = xyz(position_j) - xi
-            radius_j = position_j[3]
-            length = radius_i + radius_j
-            touching = wp.length_sq(offset) < length * length
-            bond = wp.int32(0)
-            if wp.static(bonds):
-                bond = read_int(pairs.bond, pair)
-            counts = touching or bond > 0
-            if wp.static(subcycling):
-                counts = counts and (bond == HYDRATED) == stiff
-            if counts:
-                n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
-                moving_j = read_vec4(spheres.velocity, j)
-                touch = sphere_touch(
-                    n, wp.length(offset) - length, xyz(moving_j) - xyz(moving_i), zero, radius_i, radius_j,
-                    moving_i[3], moving_j[3],
-                )  # fmt: skip
-                k = stiffness(parameters[row + read_int(spheres.material, j)], touch)
-                held = t.vec4()
-                if wp.static(bonds):
-                    if bond > 0:
-                        held = bond_stiffness(bond_parameters[scenes.row[s].bonds + bond], touch)
-                kn = k[0] + held[0]
-                ks = k[1] + held[1]
-                block = outer(n, kn, ks)
-                damping = outer(n, k[2], k[3])
-                sums.k = sums.k + block
-                sums.c = sums.c + damping
-                sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, kn, ks, held[2], held[3])
-                sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
-                if wp.static(half):
-                    if j >= first and j < last:
-                        centre = read_vec3(bodies.position, body_base + read_int(spheres.body, j))
-                        lever = xyz(position_j) - centre - radius_j * n
-                        estimate.sums[j, 0] = estimate.sums[j, 0] + block
-                        estimate.sums[j, 1] = estimate.sums[j, 1] + damping
-                        estimate.sums[j, 2] = estimate.sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
-                        estimate.sums[j, 3] = estimate.sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
+        j = scenes.row[s].spheres + decode(read_int(pairs.other, pair))
+        position_j, moving_j = read_vec4(spheres.position, j), read_vec4(spheres.velocity, j)
+        offset, radius_j = xyz(position_j) - xi, position_j[3]
+        n = safe_normalize(offset, t.vec3(zero, zero, scalar(1.0)))
+        touch = sphere_touch(
+            n, wp.length(offset) - (radius_i + radius_j), xyz(moving_j) - xyz(moving_i), zero, radius_i, radius_j,
+            moving_i[3], moving_j[3],
+        )  # fmt: skip
+        k = stiffness(parameters[row + read_int(spheres.material, j)], touch)
+        held = t.vec4()
+        if wp.static(bonds):
+            bond = read_int(pairs.bond, pair)
+            if bond > 0:
+                held = bond_stiffness(bond_parameters[scenes.row[s].bonds + bond], touch)
+        kn = k[0] + held[0]
+        ks = k[1] + held[1]
+        block = outer(n, kn, ks)
+        damping = outer(n, k[2], k[3])
+        sums.k = sums.k + block
+        sums.c = sums.c + damping
+        sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, kn, ks, held[2], held[3])
+        sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
+        if wp.static(half):
+            if j >= first and j < last:
+                centre = read_vec3(bodies.position, body_base + read_int(spheres.body, j))
+                lever = xyz(position_j) - centre - radius_j * n
+                estimate.sums[j, 0] = estimate.sums[j, 0] + block
+                estimate.sums[j, 1] = estimate.sums[j, 1] + damping
+                estimate.sums[j, 2] = estimate.sums[j, 2] + turning(lever, n, kn, ks, held[2], held[3])
+                estimate.sums[j, 3] = estimate.sums[j, 3] + turning(lever, n, k[2], k[3], zero, zero)
+        return sums
+
+    @wp.func
+    def add_pairs(
+        i: wp.int32, s: wp.int32, lane: wp.int32, first: wp.int32, last: wp.int32, stiff: wp.bool,
+        parameters: wp.array(dtype=Parameters), bond_parameters: wp.array(dtype=Bond), scenes: Scenes, bodies: Bodies,
+        spheres: Spheres, pairs: Pairs, estimate: Estimate,
+    ):  # fmt: skip
+        sums = Sums()
+        base = scenes.row[s].spheres
+        begin = scenes.row[s].pairs + pairs.start[i + s]
+        end = scenes.row[s].pairs + pairs.start[i + s + 1]
+        if wp.static(half):
+            for pair in range(begin, end):
+                if counts(spheres, pairs, i, base, pair, stiff):
+                    sums = add_pair(
+                        sums, i, s, pair, first, last, parameters, bond_parameters, scenes, bodies, spheres, pairs,
+                        estimate,
+                    )  # fmt: skip
+        else:
+            # Lanes look for what counts together, and then take that in turn, all at the same time.
+            others = lane  # that are to be left to other lanes, before the next of this one
+            for block in range(begin, end, BLOCK):
+                left = wp.int32(0)
+                for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):
+                    if counts(spheres, pairs, i, base, block + place, stiff):
+                        left = left | (1 << place)
+                left = bits_of_group(left)
+                while left != 0:
+                    while others > 0 and left != 0:
+                        left = left & (left - 1)
+                        others -= 1
+                    if left != 0:
+                        sums = add_pair(
+                            sums, i, s, block + lowest_bit(left), first, last, parameters, bond_parameters, scenes,
+                            bodies, spheres, pairs, estimate,
+                        )  # fmt: skip
+                        left = left & (left - 1)
+                        others = wp.static(lanes) - 1
         return sums
 
     return SimpleNamespace(Sums=Sums, add_pairs=add_pairs)

@@ -46,6 +46,7 @@ def scene_struct(scalar):
         fixed_step: wp.float64  # 0: automatic
         until: wp.float64  # time at which the scene halts [s]
         interval: wp.int32  # steps from one estimate of the stable step to the next
+        sort_every: wp.int32  # steps from one re-sorting of the bodies to the next, 0: never
         foreseen_speed: wp.float64  # that a wall will have or forces can give before the next estimate
         wall_stiffness: wp.float64  # least that a driven wall meets [N/m]
         largest_radius: scalar  # at full size

@@ -123,31 +123,29 @@ def advance_kernel(scalar, strokes: bool):
         s = walls.scene[w]
         if flags[s, HALTED] != 0:
             return
-        dt = scenes.clock[s, DT]
-        # Forces act from the middle of the step before to the middle of this one.
-        kick = wp.float64(0.5) * (dt + scenes.clock[s, DT_PREVIOUS])
+        dt, previous = wp.float64(scenes.clock[s, DT]), wp.float64(scenes.clock[s, DT_PREVIOUS])
+        kick = wp.float64(0.5) * (dt + previous)  # from the middle of the step before to the middle of this one
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        f = wp.vec3d()
-        m = wp.vec3d()
-        for c in range(3):
-            push = wp.int64(0)
-            turn = wp.int64(0)
-            for part in range(walls.step_force.shape[0]):
-                push += walls.step_force[part, w, c]
-                turn += walls.step_force[part, w, c + 3]
+        # All is asked for before anything is written: one after the other they keep what waits for walls waiting.
+        velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
+        impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
+        work = wp.float64(walls.work[w])
+        push = wp.vector(length=6, dtype=wp.int64)
+        for part in range(walls.step_force.shape[0]):
+            for c in range(6):
+                push[c] = push[c] + walls.step_force[part, w, c]
+        f = unit * wp.vec3d(wp.float64(push[0]), wp.float64(push[1]), wp.float64(push[2]))
+        m = unit * wp.vec3d(wp.float64(push[3]), wp.float64(push[4]), wp.float64(push[5]))
+        for part in range(walls.step_force.shape[0]):
+            for c in range(6):
                 walls.step_force[part, w, c] = wp.int64(0)
-                walls.step_force[part, w, c + 3] = wp.int64(0)
-            f[c] = unit * wp.float64(push)
-            m[c] = unit * wp.float64(turn)
         walls.force[w] = f
         walls.moment[w] = m
-        walls.impulse[w] = walls.impulse[w] + kick * f
-        walls.angular_impulse[w] = walls.angular_impulse[w] + kick * m
+        walls.impulse[w] = impulse + kick * f
+        walls.angular_impulse[w] = angular_impulse + kick * m
         # Work done on the material, with the velocity of the middle of the step that ends here.
-        walls.work[w] = walls.work[w] - wp.float64(0.5) * scenes.clock[s, DT_PREVIOUS] * (
-            wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
-        )
+        work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:
             follow(walls, w, now, dt)
@@ -155,7 +153,7 @@ def advance_kernel(scalar, strokes: bool):
             drive(scenes, s, f, kick, dt, flags, walls, w)
         walls.position[w] = t.vec3(walls.position_exact[w])
         walls.velocity[w] = t.vec3(walls.velocity_exact[w])
-        walls.work[w] = walls.work[w] - wp.float64(0.5) * dt * (
+        walls.work[w] = work - wp.float64(0.5) * dt * (
             wp.dot(f, walls.velocity_exact[w]) + wp.dot(m, wp.vec3d(walls.spin[w]))
         )
         if walls.table[w].kind == MESH and motion != FIXED:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..kernels.common.control import ESTIMATED, GOAL, HALTED, STEPS
+from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS
 from ..kernels.dem.clock import CLOSE
 from ..kernels.dem.structs import DT, TIME
 
@@ -21,6 +22,14 @@ OLD = 256
 """Steps after which threads have larger graphs captured: chunks may change before."""
 NEVER = 2**31 - 1
 """A count of steps that no scene gets to."""
+SOONER, LATER = 0.95, 1.1
+"""By what factor lists are expected to last less than they did, and, where they were built anew before they were stale,
+longer than was expected."""
+ALONG = 0.6
+"""Of the steps that a scene's lists last, after which they are built along with those of another."""
+NOBODY = np.zeros(0, dtype=np.int64)
+BRIEF = 8
+"""Steps that lists are expected to last at least."""
 
 
 class Ahead:
@@ -28,13 +37,13 @@ class Ahead:
 
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
-        self._since_build = 0
-        self._between_builds = 64
+        self._built = np.zeros(scenes, dtype=np.int64)  # completed steps when the lists were built
+        self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)  # steps that they are expected to
+        self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
         self._since_captured = 0
 
-    def stepped(self, count: int, launched: int) -> None:
-        """The first scene has completed so many steps of those that were launched."""
-        self._since_build += count
+    def stepped(self, launched: int) -> None:
+        """So many steps were launched."""
         self._since_captured += launched
 
     def captured(self) -> None:
@@ -46,10 +55,36 @@ class Ahead:
         kind = "cuda" if self.parallel else "threads" if threads > 1 and self._since_captured > OLD else "cpu"
         return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
 
-    def built(self) -> None:
-        """Lists are new."""
-        self._between_builds = max(self._since_build, 8)
-        self._since_build = 0
+    def due(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
+        """Scenes `among` some, whose lists should be built now: those that are stale and, where there are several on a
+        GPU, those that soon will be. What waits for its lists is passed by, and takes next to no less time."""
+        if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
+            return NOBODY
+        steps, stale = flags[:, int(STEPS)], flags[:, int(STALE)] != 0
+        age = steps - self._built
+        chosen = np.zeros(self.scenes, dtype=bool)
+        chosen[list(among)] = True
+        chosen &= flags[:, int(FAILED)] == 0
+        # Where bodies are to be sorted that says nothing of how long lists last.
+        early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
+        came = chosen & stale & ~early & self._whole
+        self._lasting[came] = np.maximum((1.0 if self.scenes == 1 else SOONER) * age[came], BRIEF)
+        if self.scenes == 1 or not self.parallel:
+            return np.flatnonzero(stale)
+        outlived = chosen & ~stale & (age >= self._lasting)
+        self._lasting[outlived] *= LATER
+        if not (stale | outlived).any():
+            return NOBODY
+        return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
+
+    def joined(self, s: int, steps: int) -> None:
+        """Scene `s` comes with lists, who knows how old, having completed so many steps."""
+        self._built[s], self._whole[s] = steps, False
+
+    def built(self, flags: np.ndarray) -> None:
+        """Lists of the scenes that are stale by these flags are new."""
+        stale = flags[:, int(STALE)] != 0
+        self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
 
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it.
@@ -75,15 +110,18 @@ class Ahead:
         count = max(1, math.ceil(min(max(left), LAUNCH["cuda" if self.parallel else "cpu"])))
         if not self.parallel:
             return [min(count, max(estimates))]
-        estimate, piece = min(estimates), min(intervals[s] for s in running)
+        piece = min(intervals[s] for s in running)
+        lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
         if self.scenes > 1:
-            # Scenes that had to wait for their lists come to their estimates between those of the others.
-            count = min(count, BATCH_LAUNCH)
-            estimate = piece = 1 << max(piece // 2, 1).bit_length() - 1
-        else:
-            # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
-            expected = self._between_builds - self._since_build
-            count = min(count, expected if expected > 0 else max(16, self._since_build // 4))
-        first = min(count, estimate)
+            # Who is not in step with the rest, since it had to wait, comes to its estimate first, and waits for theirs.
+            piece = min(piece, BATCH_LAUNCH)
+            sizes = [min(max(estimates), piece, count)]
+            most = min(BATCH_LAUNCH, lists)
+            while sum(sizes) < count and sum(sizes) + piece <= most:
+                sizes.append(min(piece, count - sum(sizes)))
+            return sizes
+        # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
+        count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
+        first = min(count, estimates[0])
         whole, rest = divmod(count - first, piece)
         return [first, *[piece] * whole, *([rest] if rest else [])]

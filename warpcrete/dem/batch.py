@@ -8,7 +8,7 @@ scene alone and in a batch holds the same bits. Finished scenes cost little, but
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..core.device import parallel
 from ..core.errors import refuse
 from ..core.exchange import Exchange
 from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
-from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS, WAITS
+from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
 from .ahead import NEVER, Ahead
@@ -72,7 +72,6 @@ class Batch(JointArrays):
         self._walls: np.ndarray | None = None
         self._wall_reading: Stage | None = None
         self._unsent = self._row_unsent = False
-        self._launched = 0, 0  # steps of the first scene before, and how many were launched
         self._step: list[list[Any]] | None = None
         self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
@@ -146,6 +145,14 @@ class Batch(JointArrays):
         row[int(HALTED)] = int(WAITS) if row[int(STALE)] != 0 or row[int(FAILED)] != 0 else 0
         self._unsent = True
 
+    def outdate(self, scenes: Sequence[int] | np.ndarray) -> None:
+        """Have scenes wait for new lists."""
+        flags = self.host_flags()
+        for s in scenes:
+            flags[s, int(STALE)] = 1
+            flags[s, int(HALTED)] = flags[s, int(HALTED)] or int(WAITS)
+        self._unsent = True
+
     def estimated(self, s: int, steps: int) -> None:
         """Note at how many completed steps the stable step of a scene was estimated."""
         self.host_flags()[s, int(ESTIMATED)] = steps
@@ -200,8 +207,8 @@ class Batch(JointArrays):
 
     def launch(self) -> None:
         """Launch steps until some scene needs looking after; a GPU takes them while Python goes on."""
-        before = int(self.host_flags()[0, int(STEPS)])
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
+        interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         self.device_changed()
         rounds = 0 if self.parallel else self.subcycles.rounds  # which a GPU takes in one kernel
         largest = self.ahead.largest_graph(self.threads, rounds)
@@ -210,7 +217,7 @@ class Batch(JointArrays):
         try:
             for count in pieces:
                 # From one estimate to the next a GPU takes one graph.
-                whole = self.parallel and self.count == 1 and count == self.rows["interval"][0] and count <= largest
+                whole = self.parallel and count == interval and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
                 if self._between is not None:
@@ -218,7 +225,7 @@ class Batch(JointArrays):
         finally:  # an interruption leaves bodies where their spheres are
             for stage in self.sync_stages():
                 stage()
-        self._launched = before, sum(pieces)
+        self.ahead.stepped(sum(pieces))
         self.exchange.ask(self.flags, self.scenes.clock)
 
     @property
@@ -230,10 +237,7 @@ class Batch(JointArrays):
         """Wait for what was launched; returns a copy of all flags."""
         if self.parallel:
             self._flags, self._clock = self.exchange.answer()
-        flags = self.host_flags().copy()
-        before, launched = self._launched
-        self.ahead.stepped(int(flags[0, int(STEPS)]) - before, launched)
-        return flags
+        return self.host_flags().copy()
 
     def _alone(self) -> Step:
         assert self._step is not None

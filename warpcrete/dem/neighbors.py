@@ -12,7 +12,7 @@ import warp as wp
 
 from ..core.errors import CapacityError
 from ..core.launching import Stage, launch
-from ..kernels.common.control import STALE
+from ..kernels.common.control import STALE, STEPS
 from ..kernels.common.types import types
 from ..kernels.dem.linking import linking_kernels
 from ..kernels.dem.lists import list_kernels, transfer_kernel
@@ -75,9 +75,8 @@ class NeighborLists:
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
-        self.sort_every = np.full(batch.count, 20)
-        """Builds of a scene from one re-sorting of its bodies to the next; 0: never."""
         self.builds = np.zeros(batch.count, dtype=int)
+        """Of each scene, since it came to this batch."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -116,12 +115,16 @@ class NeighborLists:
         """Rebuild the lists of every scene that is marked stale."""
         b = self.batch
         b.device_changed()
+        flags, sort_every = b.host_flags(), b.rows["sort_every"]
         if b.sphere_count == 0:
+            b.ahead.built(flags)
             self._launches(False).clear_stale()
             b.device_changed()
             return
-        stale = b.host_flags()[:, int(STALE)] != 0
-        due = stale & (self.sort_every > 0) & (self.builds % np.maximum(self.sort_every, 1) == 0)
+        stale = flags[:, int(STALE)] != 0
+        # By steps: when lists are built besides is nobody's business, and changes no bits.
+        b.ahead.built(flags)
+        due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
         if sort:
             self._sort(due)
@@ -164,7 +167,6 @@ class NeighborLists:
         b.subcycles.locate()
         self._run(launches, self._after)
         b.device_changed()
-        b.ahead.built()
 
     def _run(self, launches: _Launches, part: Callable[[_Launches], None]) -> None:
         """A part of a rebuild; on a GPU a graph from the second time on: most of a rebuild is waiting for launches."""

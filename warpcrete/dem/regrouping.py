@@ -52,15 +52,15 @@ def regroup(steppers: Sequence[Any]) -> None:
     """Move steppers of one batch to another that holds them alone; to the bit they go on as they would have."""
     old = steppers[0].batch
     old.device_changed()
-    before = [(stepper.lists, stepper.index, stepper.state_dict()) for stepper in steppers]
+    before = [(stepper.index, stepper.state_dict()) for stepper in steppers]
     states: list[State] = [stepper.state for stepper in steppers]
     for state in states:
         state.leave()
     batch = Batch([stepper.model for stepper in steppers], states)
     batch.subcycles.abreast = old.subcycles.abreast
     lists, estimate = NeighborLists(batch), StableStep(batch)
-    for s, (stepper, (old_lists, index, found)) in enumerate(zip(steppers, before)):
+    for s, (stepper, (index, found)) in enumerate(zip(steppers, before)):
         batch.set(s, **{name: old.rows[name][index] for name in SETTINGS})
-        stepper.join(lists, estimate, s, sort_every=int(old_lists.sort_every[index]), resumed=found)
+        stepper.join(lists, estimate, s, resumed=found)
         if old.structure is not None and batch.structure is not None:
             batch.structure.take(s, old.structure, index)

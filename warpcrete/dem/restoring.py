@@ -55,7 +55,8 @@ def restored(model: Model, found: dict[str, Any]) -> State:
 def state_hash(state: State) -> str:
     """SHA-256 of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
 
-    Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory.
+    Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory, and
+    whatever their lists hold of pairs that are apart.
     """
     digest = hashlib.sha256()
     features = state.model.features
@@ -67,8 +68,10 @@ def state_hash(state: State) -> str:
     position = state.spheres.position.numpy()
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
-    if features.bonds:
-        kept |= state.pairs.bond.numpy()[place] != 0
+    bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), int)
+    if not features.healing:  # that it is broken a pair tells only as long as it is listed, and nothing hangs on it
+        bond = np.maximum(bond, 0)
+    kept |= bond > 0
     low, high = np.minimum(ids[i], ids[j])[kept], np.maximum(ids[i], ids[j])[kept]
     ranks = np.lexsort([high, low])
     digest.update(np.stack([low, high])[:, ranks].astype(np.int32).tobytes())
@@ -78,7 +81,8 @@ def state_hash(state: State) -> str:
     if features.pair_law.rolls:
         digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
     if features.bonds:
-        for array in (state.pairs.bond, state.pairs.bond_force, state.pairs.bond_moment):
+        digest.update(np.ascontiguousarray(bond[kept][ranks]).tobytes())
+        for array in (state.pairs.bond_force, state.pairs.bond_moment):
             digest.update(array.numpy()[chosen].tobytes())
     by_sphere = np.argsort(ids)
     slots = state.slots

@@ -11,13 +11,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from ..core.errors import CapacityError
 from ..core.interrupts import put_off
 from ..core.run_loop import Coroutine
-from ..kernels.common.control import STALE
 from .regrouping import Regrouping
 from .stages import step_stages
 
@@ -152,8 +150,10 @@ class _Drive:
         for member in waiting:
             if (error := member.stepper.trouble(flags[member.stepper.index])) is not None:
                 self._go_on(member, error)
-        if np.any(flags[:, int(STALE)]):
+        batch, running = stepper.batch, [m.stepper.index for m in waiting if m.waiting]
+        if len(outdated := batch.ahead.due(flags, batch.rows["sort_every"], running)):
             with put_off():
+                batch.outdate(outdated)
                 stepper.lists()
         ready = [m for m in waiting if m.waiting and m.stepper.reached(flags[m.stepper.index])]
         estimate = stepper.stable_step

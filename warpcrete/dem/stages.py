@@ -12,11 +12,13 @@ from ..kernels.dem.analytic_walls import wall_kernel
 from ..kernels.dem.clock import clock_kernel
 from ..kernels.dem.clump_motion import clump_kernel
 from ..kernels.dem.contacts import contact_kernel
-from ..kernels.dem.links import WARP, link_kernel, surface_kernel
+from ..kernels.dem.links import link_kernel
 from ..kernels.dem.mesh_contacts import mesh_kernel
 from ..kernels.dem.motion import sphere_kernel
 from ..kernels.dem.near import CHOICE_BLOCK, near_kernels
+from ..kernels.dem.surfaces import surface_kernel
 from ..kernels.dem.wall_motion import advance_kernel
+from ..kernels.dem.warps import WARP
 from .batch import Batch
 from .links import rows_of
 
@@ -26,6 +28,10 @@ CHOSEN = 20
 """Steps after which near links are chosen anew: those from one estimate of the stable step to the next."""
 CLOSE_LINKS = 0.5
 """Near links, of all that there is room for, from which on a thread takes more than one."""
+WALL_LANE_BITS = 3
+"""Of the number of a GPU's threads that share a sphere among planes and pipes, at most."""
+WALL_THREADS = 100_000
+"""As many as wait for memory at a time: a hundred thousand spheres, with eight threads each, took a tenth longer."""
 LANE_BITS = 2
 """Of the number of a GPU's threads that share a clump, where there are few, or each link gives much to read."""
 
@@ -86,7 +92,9 @@ def _full_step(batch: Batch) -> list[Stage]:
     stages = near_stages(b)
     if f.analytic:
         surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
-        stages.append(b.stage(surfaces, -(-n // width) * width, last=n, beside=True))
+        bits = wall_lane_bits(b)
+        threads = -(-(n << bits) // width) * width
+        stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, beside=True))
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
@@ -103,6 +111,15 @@ def _full_step(batch: Batch) -> list[Stage]:
         *([b.structure.stage()] if b.structure is not None else []),
     ]
     return stages
+
+
+def wall_lane_bits(batch: Batch) -> int:
+    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
+    most = int(batch.rows["analytic"].max())
+    if warp_width(batch.device) == 1 or most <= 2:  # what two walls cost is that they are there
+        return 0
+    bits = min((most - 1).bit_length(), WALL_LANE_BITS)
+    return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:

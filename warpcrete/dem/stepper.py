@@ -34,6 +34,8 @@ from .watch import unstable
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW = 50_000
 MESH_SKIN = 4  # times the skin
+SORT_EVERY = {"cpu": 1000, "cuda": 4000}
+"""Steps from one re-sorting of the bodies to the next: 13 to 40 builds of the lists."""
 
 
 class Stepper:
@@ -50,15 +52,15 @@ class Stepper:
         time_step: TimeStep,
         *,
         skin: float | None = None,
-        sort_every: int = 20,
+        sort_every: int | None = None,
         threads: int = 1,
         resumed: dict[str, Any] | None = None,
         among: tuple[NeighborLists, StableStep, int] | None = None,
     ) -> None:
         """`among` are lists and estimate of a batch, and the scene's number in it; None makes a batch of one.
 
-        `resumed` is the `state_dict` of a stepper that this one goes on from; `skin` [m] and `sort_every`, list builds
-        from one re-sorting to the next, are for tests.
+        `resumed` is the `state_dict` of a stepper that this one goes on from; `skin` [m] and `sort_every`, steps from
+        one re-sorting to the next, are for tests.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
@@ -66,10 +68,10 @@ class Stepper:
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
         self.running = False  # until then an unstable fixed step is bad input, later an instability
-        self._skin = skin
+        self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0
-        self.join(*among, sort_every=sort_every, resumed=resumed)
+        self.join(*among, resumed=resumed)
 
     def join(
         self,
@@ -77,7 +79,6 @@ class Stepper:
         stable_step: StableStep,
         index: int,
         *,
-        sort_every: int = 20,
         resumed: dict[str, Any] | None = None,
     ) -> None:
         """Be number `index` of the batch that has these; a `state_dict` says where it goes on from."""
@@ -89,30 +90,32 @@ class Stepper:
             self.skin = resumed["skin"]
         moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in self.model.walls)
         self.mesh_skin = MESH_SKIN * self.skin
-        self.lists.sort_every[index] = sort_every
         self.batch.set(
             index,
             skin=self.skin,
+            sort_every=SORT_EVERY["cuda" if self.batch.parallel else "cpu"]
+            if self._sort_every is None
+            else self._sort_every,
             mesh_skin=self.mesh_skin,
             # What spheres and moving meshes may go between two builds adds up to the skin.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
-            self.lists.builds[index] = resumed["builds"]
             if math.isfinite(resumed["since_estimate"]):
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        if resumed is None or index in self.batch.rechunked:
+        stale = bool(self.batch.host_flags()[index, int(STALE)])  # estimates come after new lists, and after sorting
+        if resumed is None or stale or index in self.batch.rechunked:
             self.rebuild()
         else:
             self.lists.link(index)
+            self.batch.ahead.joined(index, self.steps)
 
     def state_dict(self) -> dict[str, Any]:
         """What a stepper needs, besides the state, to go on as this one would."""
         return {
             "skin": self.skin,
-            "builds": int(self.lists.builds[self.index]),
             "since_estimate": self._since_estimate(),
             "subcycles": self.batch.subcycles.state_dict(self.index),
         }
@@ -138,11 +141,7 @@ class Stepper:
 
     def rebuild(self) -> None:
         """Build the lists anew."""
-        self.batch.device_changed()
-        flags = self.state.flags.numpy()
-        flags[0, int(STALE)] = 1
-        self.state.flags.assign(flags)
-        self.batch.device_changed()
+        self.batch.outdate([self.index])
         self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:

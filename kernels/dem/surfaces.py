@@ -1,0 +1,62 @@
+"""Contacts of spheres with planes and pipes on a GPU: a thread or a few for each sphere, of which most meet none. They
+have a kernel of their own, which runs beside that of `links`."""
+
+import functools
+
+import warp as wp
+
+from ..common.control import HALTED
+from ..common.rows import row_functions
+from .analytic_walls import analytic_wall_functions
+from .contacts import contact_options
+from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
+from .warps import warp_functions
+
+
+@functools.cache
+def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
+    """Kernel over so many spheres, each with 2^`lane_bits` threads, in whole warps of `width` of them (1 on a CPU):
+    force and moment of each by planes and pipes, where it meets some. Meshes add theirs; what moves bodies takes them
+    away."""
+    structs = array_structs(scalar)
+    Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
+    Parameters = law.functions(scalar).Parameters
+    surface = analytic_wall_functions(scalar, law, False, dissipation, wear, width)
+    Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
+    anywhere = warp_functions(scalar, width).anywhere
+    rows = row_functions(scalar)
+    read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
+
+    @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
+    def surface_contacts(
+        # model
+        wall_parameters: wp.array(dtype=Parameters),
+        segments: wp.array(dtype=Segment),
+        # state, read
+        count: wp.int32,
+        lane_bits: wp.int32,
+        flags: wp.array2d(dtype=wp.int32),
+        scenes: Scenes,
+        # state, read and written
+        spheres: Spheres,
+        slots: Slots,
+        walls: Walls,
+    ):
+        place = wp.tid() >> lane_bits
+        i = wp.min(place, count - 1)
+        s = spheres.scene[i]
+        here = place < count and flags[s, HALTED] == 0
+        far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
+        near = here and (not far or scenes.row[s].still == 0)
+        if anywhere(near):
+            force, moment, lost = on_walls(
+                i, scenes.row[s], near, far, wp.tid() % width, 1 << lane_bits, scalar(scenes.clock[s, DT_PREVIOUS]),
+                scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,
+            )  # fmt: skip
+            if near and wp.tid() & ((1 << lane_bits) - 1) == 0:
+                if wp.static(dissipation):
+                    spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
+                write_vec3(spheres.force, i, force)
+                write_vec3(spheres.moment, i, moment)
+
+    return surface_contacts

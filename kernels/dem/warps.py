@@ -1,0 +1,82 @@
+"""What the threads of a GPU's warp do together. On a CPU a warp is one thread."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+WARP = 32
+"""Threads of a warp."""
+LANES_BITS = """
+    for (int away = lanes / 2; away > 0; away /= 2) value |= __shfl_xor_sync(0xffffffffu, value, away);
+    return value;
+"""
+LANES_LEAST = """
+    for (int away = lanes / 2; away > 0; away /= 2) {
+        const auto other = __shfl_xor_sync(0xffffffffu, value, away);
+        value = other < value ? other : value;
+    }
+    return value;
+"""
+
+
+@functools.cache
+def warp_functions(scalar, width: int) -> SimpleNamespace:
+    """Functions that all threads of a warp of `width` must call: `anywhere` (does something hold for any), `from_lane`
+    (a number that another thread has; `energy_from_lane` in double precision), `settle` (what any has read, others may
+    now write); of so many `lanes` beside one another, a power of two, `bits_of_lanes` (of any) and `least_of_lanes`.
+    """
+    alone = width == 1
+    taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
+
+    @wp.func_native("return holds;" if alone else "return __any_sync(0xffffffffu, holds);")
+    def anywhere(holds: wp.bool) -> wp.bool: ...
+
+    @wp.func_native(taken)
+    def from_lane(value: scalar, lane: wp.int32) -> scalar: ...
+
+    @wp.func_native(taken)
+    def energy_from_lane(value: wp.float64, lane: wp.int32) -> wp.float64: ...
+
+    @wp.func_native("" if alone else "__syncwarp();")
+    def settle(): ...
+
+    @wp.func_native("return value;" if alone else LANES_BITS)
+    def bits_of_lanes(value: wp.int32, lanes: wp.int32) -> wp.int32: ...
+
+    @wp.func_native("return value;" if alone else LANES_LEAST)
+    def least_of_lanes(value: scalar, lanes: wp.int32) -> scalar: ...
+
+    return SimpleNamespace(
+        anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle,
+        bits_of_lanes=bits_of_lanes, least_of_lanes=least_of_lanes,
+    )  # fmt: skip
+
+
+@functools.cache
+def group_functions(scalar, lanes: int) -> SimpleNamespace:
+    """Functions that so many `lanes` beside one another must call, a power of two, whatever the rest of their warp
+    does: `sum_of_group` of six numbers and `bits_of_group`, set in any."""
+    vec6 = wp.types.vector(6, scalar)
+    way = f"""
+#if defined(__CUDA_ARCH__)
+    const unsigned group = {hex((1 << lanes) - 1)}u << (threadIdx.x & {WARP - lanes});
+    for (int away = {lanes // 2}; away > 0; away /= 2) value %s __shfl_xor_sync(group, value, away);
+#endif
+    return value;
+"""
+
+    @wp.func_native(way % "+=")
+    def sum_of(value: scalar) -> scalar: ...
+
+    @wp.func_native(way % "|=")
+    def bits_of_group(value: wp.int32) -> wp.int32: ...
+
+    @wp.func
+    def sum_of_group(part: vec6):
+        total = vec6()
+        for c in range(6):
+            total[c] = sum_of(part[c])
+        return total
+
+    return SimpleNamespace(sum_of_group=sum_of_group, bits_of_group=bits_of_group)
