@@ -151,7 +151,7 @@ def test_a_column_that_ends_flat_has_cells_that_fit(way):
     grids = []
     for _ in range(3):
         stepper.rebuild()
-        grids.append(stepper.lists._cells.grid.id)
+        grids.append(stepper.lists._cells.made)
     width, dims = stepper.lists._cells.width(), stepper.lists._cells._dims
     assert np.all(np.sort(dims)[1:] > 0.7 / width)
     assert len(set(grids)) == 1

@@ -1,4 +1,4 @@
-"""Who is near whom: searches of Warp's hash grid.
+"""Who is near whom: searches of the grid.
 
 All kernels run over a whole batch and pass by the scenes whose lists are fresh: those keep their rows.
 """
@@ -11,6 +11,7 @@ import warp as wp
 from ..common.control import STALE
 from ..common.rows import row_functions
 from ..common.types import types, vector_functions
+from .grid import grid_functions, grid_struct
 from .pairs import decode
 from .structs import array_structs
 
@@ -192,7 +193,10 @@ def half_search_kernel(scalar, bonds: bool):
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
-    read_vec4 = row_functions(scalar).read_vec4
+    rows = row_functions(scalar)
+    read_int, read_vec4 = rows.read_int, rows.read_vec4
+    Grid = grid_struct(scalar)
+    region, run_of = grid_functions(scalar).region, grid_functions(scalar).run_of
     f = search_functions(scalar, True, bonds)
     beginning, padded, belongs = f.beginning, f.padded, f.belongs
 
@@ -214,7 +218,7 @@ def half_search_kernel(scalar, bonds: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(
-        grid: wp.uint64,
+        grid: Grid,
         shift: wp.array(dtype=t.vec3),
         # chunk
         first: wp.int32,
@@ -246,15 +250,17 @@ def half_search_kernel(scalar, bonds: bool):
                 reach = seeker.radius + seeker.radius + seeker.margin
             found = wp.int32(0)
             middle = seeker.x + shift[s]
-            query = wp.hash_grid_query(grid, middle, padded(reach, middle))
-            j = wp.int32(0)
-            while wp.hash_grid_query_next(query, j):
-                position_j = read_vec4(spheres.position, j)
-                if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                    if holds(i, j, seeker.radius, position_j[3], first, last):
-                        if row >= room[0] and row + found < room[1]:
-                            insert(other, row, found, j - seeker.base)
-                        found += 1
+            around = region(grid, middle, padded(reach, middle))
+            for number in range(around.runs):
+                run = run_of(grid, around, number)
+                for at in range(run[0], run[1]):
+                    j = read_int(grid.point, at)
+                    position_j = read_vec4(spheres.position, j)
+                    if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
+                        if holds(i, j, seeker.radius, position_j[3], first, last):
+                            if row >= room[0] and row + found < room[1]:
+                                insert(other, row, found, j - seeker.base)
+                            found += 1
             count[i + s] = found
             place[i] = row
             row += found
@@ -326,7 +332,10 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
     xyz = vector_functions(scalar).xyz
-    read_vec4 = row_functions(scalar).read_vec4
+    rows = row_functions(scalar)
+    read_int, read_vec4 = rows.read_int, rows.read_vec4
+    Grid = grid_struct(scalar)
+    region, run_of = grid_functions(scalar).region, grid_functions(scalar).run_of
     f = search_functions(scalar, False, bonds)
     Seeker, beginning, padded, belongs, held = f.Seeker, f.beginning, f.padded, f.belongs, f.held
     side, within = octant_functions(scalar)
@@ -338,7 +347,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(
-        grid: wp.uint64,
+        grid: Grid,
         shift: wp.array(dtype=t.vec3),
         # state, read
         flags: wp.array2d(dtype=wp.int32),
@@ -363,15 +372,17 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         if wp.static(lanes > 1):
             middle += scalar(0.5) * reach * t.vec3(side(lane, 0), side(lane, 1), side(lane, 2))
             reach = scalar(0.5) * reach
-        query = wp.hash_grid_query(grid, middle, padded(reach, middle))
-        j = wp.int32(0)
-        while wp.hash_grid_query_next(query, j):
-            position_j = read_vec4(spheres.position, j)
-            if wp.static(lanes > 1):
-                if not within(xyz(position_j) - seeker.x, lane):
-                    continue
-            if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                note(count, finds, total, seeker, i, j)
+        around = region(grid, middle, padded(reach, middle))
+        for number in range(around.runs):
+            run = run_of(grid, around, number)
+            for at in range(run[0], run[1]):
+                j = read_int(grid.point, at)
+                position_j = read_vec4(spheres.position, j)
+                if wp.static(lanes > 1):
+                    if not within(xyz(position_j) - seeker.x, lane):
+                        continue
+                if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
+                    note(count, finds, total, seeker, i, j)
         if wp.static(bonds):
             first, last = old_row(scenes, old_pairs, old_place, seeker, i)
             for old in range(first + lane, last, lanes):
@@ -381,7 +392,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
-        grid: wp.uint64,
+        grid: Grid,
         shift: wp.array(dtype=t.vec3),
         # state, read
         flags: wp.array2d(dtype=wp.int32),
@@ -414,14 +425,16 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
             seeker = beginning(scenes, spheres, stretched, i)
             middle = seeker.x + shift[s]
             found = wp.int32(0)
-            query = wp.hash_grid_query(grid, middle, padded(reach_of(scenes, seeker), middle))
-            j = wp.int32(0)
-            while wp.hash_grid_query_next(query, j):
-                position_j = read_vec4(spheres.position, j)
-                if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                    if found < total:
-                        pairs.other[row + found] = j - seeker.base
-                        found += 1
+            around = region(grid, middle, padded(reach_of(scenes, seeker), middle))
+            for number in range(around.runs):
+                run = run_of(grid, around, number)
+                for at in range(run[0], run[1]):
+                    j = read_int(grid.point, at)
+                    position_j = read_vec4(spheres.position, j)
+                    if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
+                        if found < total:
+                            pairs.other[row + found] = j - seeker.base
+                            found += 1
             if wp.static(bonds):
                 first, last = old_row(scenes, old_pairs, old_place, seeker, i)
                 for old in range(first, last):

@@ -1,4 +1,4 @@
-"""Cells of Warp's hash grid, laid out for the place that the scenes of a batch take."""
+"""Cells of the grid, laid out for the place that the scenes of a batch take."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.launching import Stage
+from ..core.scan import scan_stages
 from ..kernels.common.types import types
+from ..kernels.dem.grid import grid_kernels, grid_struct
 
 LOOKED_AT = 4_000
 """Spheres of a scene that tell how far it reaches, about."""
@@ -31,6 +34,10 @@ class Cells:
 
     shift: wp.array
     """From a scene's own place to that of its block [m], shape (scenes,)."""
+    grid: Any
+    """A struct `Grid`."""
+    made: int
+    """How often it has been laid out: launches hold its arrays."""
 
     def __init__(self, batch: Any) -> None:
         self.batch = batch
@@ -41,11 +48,19 @@ class Cells:
         self._mean_radius = np.array([state.mean_radius for state in batch.states])
         """Of a scene's spheres at full size [m]."""
         self._dims = np.ones(3, dtype=int)
+        self._width = 0.0
+        self.made = 0
         self._make()
 
     def _make(self) -> None:
-        dims = [int(d) for d in self._dims]
-        self.grid = wp.HashGrid(*dims, device=self.batch.device, dtype=self.batch.scalar)
+        device, n, cells = self.batch.device, self.batch.sphere_count, int(self._dims.prod())
+        grid = grid_struct(self.batch.scalar)()
+        grid.dims = wp.vec3i(*self._dims.tolist())
+        grid.per_width = wp.array([1 / self._width if self._width else 1.0], dtype=self.batch.scalar, device=device)
+        for name, size in (("held", cells + 1), ("start", cells + 1), ("cell", n), ("rank", n), ("point", n)):
+            setattr(grid, name, wp.zeros(size, dtype=wp.int32, device=device))
+        self.grid = grid
+        self.made += 1
 
     def width(self) -> float:
         """Of a cell [m]: for the many small spheres; the few large ones look through more of them."""
@@ -97,6 +112,17 @@ class Cells:
         near = np.clip(places - middle, -FARTHEST * width, FARTHEST * width)
         return middle + np.percentile(near, [AMONG, 100 - AMONG], axis=0)
 
-    def build(self, centre: wp.array, width: float) -> None:
-        """Sort points, shifted already, into cells of a `width` [m]."""
-        self.grid.build(centre, radius=width)
+    def use_width(self, width: float) -> None:
+        """Have cells of a `width` [m] from the next building on."""
+        if width != self._width:
+            self._width = width
+            self.grid.per_width.fill_(self.batch.scalar(1 / width))
+
+    def stages(self, centre: wp.array) -> list[Stage]:
+        """What puts points, shifted already, into cells; `held` is to be zero."""
+        b, kernels = self.batch, grid_kernels(self.batch.scalar)
+        return [
+            b.stage(kernels.count, b.sphere_count, centre=centre, grid=self.grid),
+            *scan_stages(self.grid.held, self.grid.start),
+            b.stage(kernels.put, b.sphere_count, grid=self.grid),
+        ]

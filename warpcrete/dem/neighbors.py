@@ -1,4 +1,4 @@
-"""Verlet lists: built on Warp's hash grid, carried over exactly, re-sorted along the grid now and then."""
+"""Verlet lists: built on a grid of cells, carried over exactly, re-sorted along the grid now and then."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import warp as wp
 
 from ..core.errors import CapacityError
 from ..core.launching import Stage, launch
+from ..core.scan import scan_stages
 from ..kernels.common.control import STALE, STEPS
 from ..kernels.common.types import types
 from ..kernels.dem.linking import linking_kernels
@@ -47,9 +48,13 @@ class _Launches:
 
     centres: Stage
     stretch: Stage
+    cells: list[Stage]
+    """Puts the spheres' centres into the grid."""
     search: list[Stage]
     fill: list[Stage]
     """Of a GPU: puts into rows what the search found."""
+    scan: list[Stage]
+    """Counts of rows into where they begin."""
     starts: Stage
     transfer: list[Stage]
     drift: Stage
@@ -133,9 +138,9 @@ class NeighborLists:
         self._keep_old(np.flatnonzero(stale))
         width = self._cells.width()
         self._cells.fit(width, due)
+        self._cells.use_width(width)
         launches = self._launches(sort)
         self._run(launches, self._before)
-        self._cells.build(self._centre, width)
         if b.features.half_list:
             launches = self._search(sort)
             self._scan(launches)
@@ -157,7 +162,8 @@ class NeighborLists:
             self._version = ()  # from the next build on
         if b.features.meshes:
             launches.faces[0]()
-            wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+            for stage in launches.scan:
+                stage()
             launches.faces[1]()
             wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
             if np.any(wanted > b.face_capacity):
@@ -187,6 +193,9 @@ class NeighborLists:
         if self.batch.features.bonds and self.batch.features.half_list:
             self._stretched.zero_()
             launches.stretch()
+        self._cells.grid.held.zero_()
+        for stage in launches.cells:
+            stage()
 
     def _search_all(self, launches: _Launches) -> None:
         self._count.zero_()
@@ -196,7 +205,8 @@ class NeighborLists:
 
     def _scan(self, launches: _Launches) -> None:
         """Counts into row starts."""
-        wp.utils.array_scan(self._count, self._scanned, inclusive=False)
+        for stage in launches.scan:
+            stage()
         launches.starts()
 
     def _fill(self, launches: _Launches) -> None:
@@ -213,10 +223,8 @@ class NeighborLists:
     def _link(self, launches: _Launches) -> None:
         if launches.links:
             clear, count, fill = launches.links
-            clear()
-            count()
-            wp.utils.array_scan(self._count, self._scanned, inclusive=False)
-            fill()
+            for stage in (clear, count, *launches.scan, fill):
+                stage()
 
     def link(self, s: int) -> None:
         """Find the links of a scene whose lists came from a checkpoint."""
@@ -245,7 +253,7 @@ class NeighborLists:
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
         return [
-            each.centres, each.starts, each.drift, each.clear_stale, *few, *each.search, *each.fill, *each.transfer,
+            each.centres, *each.cells, *each.scan, each.starts, each.drift, each.clear_stale, *few, *each.search, *each.fill, *each.transfer,
             *each.links, *each.near, *each.faces, *stretch, invert, *order,
             *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
@@ -302,7 +310,7 @@ class NeighborLists:
     def _launches(self, sorted_now: bool, searchers: int | None = None) -> _Launches:
         """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now; by
         so many threads a sphere, or as many as search now."""
-        version = self.batch.version, self._cells.grid.id
+        version = self.batch.version, self._cells.made
         if self._version != version:
             self._recorded.clear()
             self._version = version
@@ -321,7 +329,7 @@ class NeighborLists:
         lists = list_kernels(b.scalar)
         lanes = 1 if f.half_list else OCTANTS
         transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, lanes)
-        cells = {"grid": self._cells.grid.id, "shift": self._cells.shift}
+        cells = {"grid": self._cells.grid, "shift": self._cells.shift}
         before = {"old_pairs": self._old, "old_place": old_place, "stretched": self._stretched}
         if f.half_list:
             kernel = half_search_kernel(b.scalar, f.bonds)
@@ -349,8 +357,10 @@ class NeighborLists:
                 lists.stretch, n, old_pairs=self._old, old_place=old_place, new_place=new_place,
                 stretched=self._stretched,
             ),
+            cells=self._cells.stages(self._centre),
             search=search,
             fill=fill,
+            scan=scan_stages(self._count, self._scanned),
             starts=starts(b.pairs.start, self._total),
             transfer=[
                 b.stage(
