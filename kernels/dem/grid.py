@@ -1,7 +1,7 @@
 """A grid of cells that says which spheres are near a place: built and asked on the device, so that a graph may hold it.
 
-Places wrap around: cells lie side by side without end, and those a whole grid apart are one. Where a sphere is, it is in
-a cell; to lie far away, or to have few cells, costs time and loses nobody.
+Places wrap around: cells lie side by side without end, and those a whole grid apart are one. Any place is in a cell; to
+lie far away, or to have few cells, costs time and loses nobody.
 """
 
 import functools

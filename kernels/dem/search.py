@@ -392,21 +392,11 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
-        grid: Grid,
-        shift: wp.array(dtype=t.vec3),
-        # state, read
-        flags: wp.array2d(dtype=wp.int32),
-        scenes: Scenes,
-        spheres: Spheres,
-        old_pairs: Pairs,
-        old_place: wp.array(dtype=wp.int32),
-        new_place: wp.array(dtype=wp.int32),
-        stretched: wp.array(dtype=scalar),
-        count: wp.array(dtype=wp.int32),
-        finds: wp.array2d(dtype=wp.int32),
-        # written
+        grid: Grid, shift: wp.array(dtype=t.vec3), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres,
+        old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), new_place: wp.array(dtype=wp.int32),
+        stretched: wp.array(dtype=scalar), count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32),
         pairs: Pairs,
-    ):
+    ):  # fmt: skip
         i = wp.tid() / lanes
         s = spheres.scene[i]
         if flags[s, STALE] == 0:

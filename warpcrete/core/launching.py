@@ -380,8 +380,9 @@ class Launcher:
         return graphs
 
 
-def at_once(stages: list[Stage], device: Any) -> Callable[[], None]:
-    """Stages as one launch: on a GPU a graph, since launching a short kernel takes longer than the kernel."""
+def at_once(stages: list[Any], device: Any) -> Callable[[], None]:
+    """Stages, or what can be recorded and called like some, as one launch: on a GPU a graph, since launching a short
+    kernel takes longer than the kernel."""
 
     def one_by_one() -> None:
         for stage in stages:
@@ -393,7 +394,12 @@ def at_once(stages: list[Stage], device: Any) -> Callable[[], None]:
         stage.record()
     with wp.ScopedCapture(device=device) as capture:
         one_by_one()
-    return functools.partial(wp.capture_launch, capture.graph)
+    graph = capture.graph
+
+    def replay(_kept: list[Any] = stages) -> None:  # their arrays are the graph's, which does not hold them
+        wp.capture_launch(graph)
+
+    return replay
 
 
 def _launch_beside(stages: list[Any], device: Any) -> None:

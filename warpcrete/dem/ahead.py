@@ -41,6 +41,8 @@ class Ahead:
         self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)  # steps that they are expected to
         self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
         self._since_captured = 0
+        self.rebuilds_itself = False
+        """A GPU builds the lists of its only scene without the host, but where bodies are to be sorted."""
 
     def stepped(self, launched: int) -> None:
         """So many steps were launched."""
@@ -121,7 +123,11 @@ class Ahead:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
         # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
-        count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
+        if self.rebuilds_itself:
+            every = max(int(rows["sort_every"][0]), 0) or NEVER
+            count = min(count, every - slots[0][int(STEPS)] % every)
+        else:
+            count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
         first = min(count, estimates[0])
         whole, rest = divmod(count - first, piece)
         return [first, *[piece] * whole, *([rest] if rest else [])]

@@ -80,8 +80,9 @@ class NeighborLists:
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
-        self.builds = np.zeros(batch.count, dtype=int)
-        """Of each scene, since it came to this batch."""
+        self._builds = np.zeros(batch.count, dtype=int)
+        self.by_device = wp.zeros(1, dtype=wp.int32, device=batch.device)
+        """Builds that the device decided on, of a scene alone."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -90,7 +91,7 @@ class NeighborLists:
             return wp.zeros(shape, dtype=dtype, device=batch.device)
 
         self._centre = zeros(n, t.vec3)
-        self._count, self._scanned = zeros(n + scenes), zeros(n + scenes)
+        self._count, self.scanned = zeros(n + scenes), zeros(n + scenes)
         # Half lists: what a search finds, in a room for each chunk, and where a sphere's part of that begins.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
@@ -108,9 +109,15 @@ class NeighborLists:
         # The list before, which the new one takes history from.
         self._old = batch.structs.Pairs()
         self._old.start = zeros(n + scenes)
+        self._entries = np.array([state.pair_total for state in batch.states])
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
         self._recorded: dict[tuple[bool, int], _Launches] = {}
         self._version: tuple[int, ...] = ()
+
+    @property
+    def builds(self) -> np.ndarray:
+        """Of each scene, since it came to this batch, shape (scenes,)."""
+        return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
         """Threads for each of so many spheres that are searched for at a time."""
@@ -133,17 +140,21 @@ class NeighborLists:
         sort = bool(due.any()) and b.body_count > 1
         if sort:
             self._sort(due)
-        self.builds[stale] += 1
+        self._builds[stale] += 1
         self._searchers = self._searchers_for(int(b.rows["sphere_count"][stale].sum()))
         self._keep_old(np.flatnonzero(stale))
         width = self._cells.width()
+        made = self._cells.made
         self._cells.fit(width, due)
         self._cells.use_width(width)
+        if self._cells.made > made and b.ahead.rebuilds_itself:
+            b.invalidate_graphs()
         launches = self._launches(sort)
         self._run(launches, self._before)
         if b.features.half_list:
             launches = self._search(sort)
-            self._scan(launches)
+            for stage in (*launches.scan, launches.starts):
+                stage()
         else:
             self._run(launches, self._search_all)
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
@@ -151,8 +162,7 @@ class NeighborLists:
             b.reserve_pairs(wanted)
             self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
             launches = self._launches(sort)
-        for s in np.flatnonzero(stale):
-            b.states[s].pair_total = int(wanted[s])
+        self._entries[stale] = wanted[stale]
         if b.features.half_list:
             b.in_parts(launches.transfer)
         else:
@@ -160,6 +170,8 @@ class NeighborLists:
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # from the next build on
+            if b.ahead.rebuilds_itself:
+                b.invalidate_graphs()
         if b.features.meshes:
             launches.faces[0]()
             for stage in launches.scan:
@@ -198,20 +210,18 @@ class NeighborLists:
             stage()
 
     def _search_all(self, launches: _Launches) -> None:
-        self._count.zero_()
-        self._total.zero_()
-        self.batch.in_parts(launches.search)
-        self._scan(launches)
-
-    def _scan(self, launches: _Launches) -> None:
-        """Counts into row starts."""
-        for stage in launches.scan:
-            stage()
+        self._find_all(launches)
         launches.starts()
 
+    def _find_all(self, launches: _Launches) -> None:
+        self._count.zero_()
+        self._total.zero_()
+        for stage in (*launches.search, *launches.scan):
+            stage()
+
     def _fill(self, launches: _Launches) -> None:
-        self.batch.in_parts(launches.fill)
-        self.batch.in_parts(launches.transfer)
+        for stage in (*launches.fill, *launches.transfer):
+            stage()
         self._link(launches)
 
     def _after(self, launches: _Launches) -> None:
@@ -225,6 +235,37 @@ class NeighborLists:
             clear, count, fill = launches.links
             for stage in (clear, count, *launches.scan, fill):
                 stage()
+
+    # In a graph, of a scene alone: see `rebuilding`.
+
+    def device_stages(self) -> list[Stage]:
+        """Stages that a rebuild in a graph launches, on arrays that are there from now on."""
+        self._searchers = self._searchers_for(self.batch.sphere_count)
+        self._keep_old(np.arange(self.batch.count))
+        each = self._launches(False)
+        return [
+            *self.batch.sync_stages(), each.centres, *each.cells, *each.search, *each.scan, each.starts, *each.fill,
+            *each.transfer, *each.links, *self.batch.subcycles.locating(), each.drift, each.clear_stale, *each.near,
+        ]  # fmt: skip
+
+    def search_on_device(self) -> None:
+        """Up to where it is known how many entries rows have."""
+        launches = self._launches(False)
+        for stage in self.batch.sync_stages():
+            stage()
+        for name in self._kept:
+            wp.copy(getattr(self._old, name), getattr(self.batch.pairs, name))
+        self._before(launches)
+        self._find_all(launches)
+
+    def complete_on_device(self) -> None:
+        """From there on."""
+        launches = self._launches(False)
+        launches.starts()
+        self._fill(launches)
+        for stage in self.batch.subcycles.locating():
+            stage()
+        self._after(launches)
 
     def link(self, s: int) -> None:
         """Find the links of a scene whose lists came from a checkpoint."""
@@ -253,8 +294,8 @@ class NeighborLists:
         moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
         return [
-            each.centres, *each.cells, *each.scan, each.starts, each.drift, each.clear_stale, *few, *each.search, *each.fill, *each.transfer,
-            *each.links, *each.near, *each.faces, *stretch, invert, *order,
+            each.centres, *each.cells, *each.scan, each.starts, each.drift, each.clear_stale, *few, *each.search,
+            *each.fill, *each.transfer, *each.links, *each.near, *each.faces, *stretch, invert, *order,
             *(permute_kernel(*kind) for kind in moved),
         ]  # fmt: skip
 
@@ -288,6 +329,8 @@ class NeighborLists:
     def _keep_old(self, scenes: np.ndarray) -> None:
         """Copy of the lists of some scenes, that their new ones take history from."""
         b = self.batch
+        # How many entries a scene alone on a GPU has, its device may know only.
+        whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
             if name not in self._kept:  # nobody reads it
@@ -299,11 +342,11 @@ class NeighborLists:
                 kept = wp.empty(len(array), dtype=array.dtype, device=b.device)
                 setattr(self._old, name, kept)
                 self._recorded.clear()
-            if 4 * len(scenes) > b.count > 1:
+            if whole:
                 wp.copy(kept, array)
                 continue
             for s in scenes:
-                first, count = int(b.rows["pairs"][s]), b.states[s].pair_total
+                first, count = int(b.rows["pairs"][s]), int(self._entries[s])
                 if count:  # else `copy` takes all
                     wp.copy(kept, array, first, first, count)
 
@@ -349,7 +392,7 @@ class NeighborLists:
             fill = [b.stage(fill_kernel, n * searchers, **finds)]
 
         def starts(start: wp.array, total: wp.array) -> Stage:
-            return b.stage(lists.starts, n + b.count, scanned=self._scanned, start=start, total=total)
+            return b.stage(lists.starts, n + b.count, scanned=self.scanned, start=start, total=total)
 
         launches = _Launches(
             centres=b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
@@ -360,7 +403,7 @@ class NeighborLists:
             cells=self._cells.stages(self._centre),
             search=search,
             fill=fill,
-            scan=scan_stages(self._count, self._scanned),
+            scan=scan_stages(self._count, self.scanned),
             starts=starts(b.pairs.start, self._total),
             transfer=[
                 b.stage(
@@ -377,7 +420,7 @@ class NeighborLists:
             launches.links = [
                 b.stage(linking.clear_links, len(b.links.link)),
                 b.stage(linking.count_own, n, count=self._count),
-                b.stage(linking.fill_links, OCTANTS * n, scanned=self._scanned),
+                b.stage(linking.fill_links, OCTANTS * n, scanned=self.scanned),
             ]
             launches.near = near_stages(b)
         if f.meshes:

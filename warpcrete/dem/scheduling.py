@@ -16,6 +16,7 @@ import warp as wp
 from ..core.errors import CapacityError
 from ..core.interrupts import put_off
 from ..core.run_loop import Coroutine
+from .rebuilding import DeviceRebuild
 from .regrouping import Regrouping
 from .stages import step_stages
 
@@ -141,8 +142,15 @@ class _Drive:
         stepper = steppers[0]
         self._launched = batch = stepper.batch
         if not batch.has_step:
-            batch.use_step(step_stages(batch), stepper.stable_step.by_device() if batch.parallel else None)
+            batch.use_step(step_stages(batch), self._between(stepper) if batch.parallel else None)
         batch.launch()
+
+    @staticmethod
+    def _between(stepper: Any) -> Callable[[], None]:
+        """What a GPU does by itself between one estimate of the stable step and the next."""
+        ahead = stepper.batch.ahead
+        ahead.rebuilds_itself = DeviceRebuild.possible(stepper.batch)
+        return stepper.stable_step.by_device([DeviceRebuild(stepper.lists)] if ahead.rebuilds_itself else ())
 
     def _look(self) -> None:
         waiting, flags = self.waiting, self._launched.settle()

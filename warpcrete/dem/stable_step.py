@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -43,7 +44,7 @@ class StableStep:
         self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._asked_before = np.zeros(batch.count, dtype=np.int32)
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
-        self._recorded: dict[tuple[int, bool], Callable[[], None]] = {}
+        self._recorded: dict[int, Callable[[], None]] = {}
         self._version = -1
         self._known: set[int] = set()
 
@@ -71,26 +72,26 @@ class StableStep:
             self._asked.assign(asked)
             self._asked_before = asked
         self.batch.device_changed()
-        self._launch(scenes[0], False)()
+        self._launch(scenes[0])()
         self.batch.device_changed()
 
-    def by_device(self) -> Callable[[], None]:
+    def by_device(self, first: Sequence[Any] = ()) -> Callable[[], None]:
         """What estimates, for all scenes that have come to where they must be, and lets them go on: for a GPU, which
-        has the host wait for none of it."""
-        return self._launch(-1, True)
+        has the host wait for none of it. What is to be launched `first` goes with it."""
+        return at_once([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
-    def _launch(self, s: int, by_device: bool) -> Callable[[], None]:
+    def _launch(self, s: int) -> Callable[[], None]:
         if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU goes through the spheres of one scene, chunk by chunk.
-        key = -1 if self.batch.parallel else s, by_device
+        key = -1 if self.batch.parallel else s
         if key not in self._recorded:
-            self._recorded[key] = self._made(self._phases(*key))
+            self._recorded[key] = self._made(self._phases(key, False))
         return self._recorded[key]
 
     def _made(self, phases: list[list[Stage]]) -> Callable[[], None]:

@@ -27,8 +27,7 @@ OF_BATCH = {
 }
 """Arrays of those structs that only a batch has: they follow from the models, or are empty between two steps."""
 NUMBERS = (
-    "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "pair_total",
-    "chunks",
+    "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
 """What a state keeps besides its arrays."""
 
@@ -83,7 +82,6 @@ class State:
         self.mean_radius = float(offsets[:, 3].mean()) if self.sphere_count else 1.0
         self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if self.sphere_count else 0.0
         self.total_mass = float(np.sum(table.mass))
-        self.pair_total = 0
         self.chunks = [0, self.sphere_count]
         """First sphere of every chunk of a half list, and the end of the last."""
         self.batch: Any = None
@@ -230,6 +228,11 @@ class State:
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]
+
+    @property
+    def pair_total(self) -> int:
+        """Entries of its neighbour list."""
+        return int(self.pairs.start[-1:].numpy()[0])
 
     @property
     def time(self) -> float:

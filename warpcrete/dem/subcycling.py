@@ -203,9 +203,12 @@ class Subcycles:
 
     def locate(self) -> None:
         """Find everything again, after a rebuild of the lists."""
-        if self.pair_count:
-            for stage in self._locating():
-                stage()
+        for stage in self.locating():
+            stage()
+
+    def locating(self) -> list[Stage]:
+        """What does that; nothing where no pair is stepped in rounds."""
+        return self._locating() if self.pair_count else []
 
     def _locating(self) -> list[Stage]:
         b = self.batch

@@ -1,0 +1,36 @@
+"""What a GPU decides by itself of a rebuild of its lists."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..common.control import FAILED, STALE, STEPS
+from .structs import array_structs
+
+
+@functools.cache
+def rebuilding_kernels(scalar) -> SimpleNamespace:
+    """Kernels of one task, for a scene alone: ``ask`` whether lists are to be built now, ``fit`` whether there is room
+    for those that were found. What they say no to is left to the host."""
+    Scenes = array_structs(scalar).Scenes
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
+        every = scenes.row[0].sort_every
+        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # which takes the host
+        asked[0] = wp.where(flags[0, STALE] != 0 and flags[0, FAILED] == 0 and not sorts, 1, 0)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def fit(
+        scanned: wp.array(dtype=wp.int32), room: wp.int32, fits: wp.array(dtype=wp.int32),
+        built: wp.array(dtype=wp.int32),
+    ):  # fmt: skip
+        """Entries of all rows, of which the last, of no sphere, says how many they are."""
+        wanted = scanned[scanned.shape[0] - 1]
+        holds = wanted >= 0 and wanted <= room
+        fits[0] = wp.where(holds, 1, 0)
+        if holds:
+            built[0] = built[0] + 1
+
+    return SimpleNamespace(ask=ask, fit=fit)
