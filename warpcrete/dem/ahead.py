@@ -28,6 +28,8 @@ longer than was expected."""
 ALONG = 0.6
 """Of the steps that a scene's lists last, after which they are built along with those of another."""
 NOBODY = np.zeros(0, dtype=np.int64)
+WAIT = 20
+"""Steps after which a GPU looks whether lists are stale, at most."""
 BRIEF = 8
 """Steps that lists are expected to last at least."""
 
@@ -125,9 +127,9 @@ class Ahead:
         # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
         if self.rebuilds_itself:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
-            count = min(count, every - slots[0][int(STEPS)] % every)
+            count, piece = min(count, every - slots[0][int(STEPS)] % every), min(piece, WAIT)
         else:
             count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
-        first = min(count, estimates[0])
+        first = min(count, estimates[0], piece)
         whole, rest = divmod(count - first, piece)
         return [first, *[piece] * whole, *([rest] if rest else [])]

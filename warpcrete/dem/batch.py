@@ -21,7 +21,7 @@ from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_
 from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
-from .ahead import NEVER, Ahead
+from .ahead import NEVER, WAIT, Ahead
 from .joint import JointArrays
 from .model import Model
 from .resting import Structure
@@ -73,6 +73,7 @@ class Batch(JointArrays):
         self._wall_reading: Stage | None = None
         self._unsent = self._row_unsent = False
         self._step: list[list[Any]] | None = None
+        self._rebuild: Callable[[], None] | None = None
         self._between: Callable[[], None] | None = None
         self._sync: Stage | None = None
         self.split()
@@ -121,12 +122,15 @@ class Batch(JointArrays):
         self._sync = None
         self._wall_reading = None
 
-    def use_step(self, step: list[list[Any]], between: Callable[[], None] | None) -> None:
+    def use_step(
+        self, step: list[list[Any]], rebuild: Callable[[], None] | None, between: Callable[[], None] | None
+    ) -> None:
         """Take the stages of one step, a list for each thread; good until `has_step` says otherwise.
 
-        `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate.
+        `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate, `rebuild`
+        what it does of that where no estimate is due for long.
         """
-        self._step, self._between = step, between
+        self._step, self._rebuild, self._between = step, rebuild, between
 
     @property
     def has_step(self) -> bool:
@@ -214,14 +218,15 @@ class Batch(JointArrays):
         largest = self.ahead.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
+        between = self._rebuild if interval == NEVER else self._between
         try:
             for count in pieces:
                 # From one estimate to the next a GPU takes one graph.
-                whole = self.parallel and count == interval and count <= largest
+                whole = self.parallel and count in (interval, WAIT) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
-                if self._between is not None:
-                    self._between()
+                if between is not None:
+                    between()
         finally:  # an interruption leaves bodies where their spheres are
             for stage in self.sync_stages():
                 stage()

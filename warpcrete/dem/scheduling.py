@@ -15,6 +15,7 @@ import warp as wp
 
 from ..core.errors import CapacityError
 from ..core.interrupts import put_off
+from ..core.launching import at_once
 from ..core.run_loop import Coroutine
 from .rebuilding import DeviceRebuild
 from .regrouping import Regrouping
@@ -142,15 +143,18 @@ class _Drive:
         stepper = steppers[0]
         self._launched = batch = stepper.batch
         if not batch.has_step:
-            batch.use_step(step_stages(batch), self._between(stepper) if batch.parallel else None)
+            batch.use_step(step_stages(batch), *self._by_device(stepper))
         batch.launch()
 
     @staticmethod
-    def _between(stepper: Any) -> Callable[[], None]:
-        """What a GPU does by itself between one estimate of the stable step and the next."""
-        ahead = stepper.batch.ahead
-        ahead.rebuilds_itself = DeviceRebuild.possible(stepper.batch)
-        return stepper.stable_step.by_device([DeviceRebuild(stepper.lists)] if ahead.rebuilds_itself else ())
+    def _by_device(stepper: Any) -> tuple[Callable[[], None] | None, Callable[[], None] | None]:
+        """What a GPU does by itself between two pieces of steps: lists of a scene alone, and then estimates, too."""
+        batch = stepper.batch
+        batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
+        if not batch.parallel:
+            return None, None
+        rebuild = [DeviceRebuild(stepper.lists)] if batch.ahead.rebuilds_itself else []
+        return at_once(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
 
     def _look(self) -> None:
         waiting, flags = self.waiting, self._launched.settle()
