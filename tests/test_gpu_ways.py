@@ -17,7 +17,8 @@ from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
 from warpcrete.core.run_loop import Run
-from warpcrete.dem.ahead import Ahead
+from warpcrete.dem import rebuilding
+from warpcrete.dem.ahead import WAIT, Ahead
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
@@ -392,12 +393,46 @@ def test_the_device_estimates_the_step_as_the_host_would(like_a_gpu, monkeypatch
     by_device = Simulation(scene, device="cpu").run()
     few = len(asked)
     use_step = Batch.use_step
-    monkeypatch.setattr(Batch, "use_step", lambda self, step, between: use_step(self, step, None))
+    monkeypatch.setattr(Batch, "use_step", lambda self, step, *by_device: use_step(self, step, None, None))
     by_host = Simulation(scene, device="cpu").run()
     assert by_device.result["state_hash"] == by_host.result["state_hash"]
     assert np.array_equal(by_device.series["time_step"], by_host.series["time_step"])
     assert len(np.unique(by_device.series["time_step"])) > 3
     assert len(asked) - 2 * few > 5  # what the device took over
+
+
+@pytest.mark.parametrize("more", [{}, dict(shapes="shape-1.5"), dict(hydration=0.2, hydration_modulus=1e7)])
+def test_the_device_builds_lists_as_the_host_would(like_a_gpu, monkeypatch, more):
+    """And leaves it to the host where there is no room for them."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), **more)
+    found = {}
+    for way in ("device", "no room", "host"):
+        if way == "no room":
+            monkeypatch.setattr(rebuilding.DeviceRebuild, "room", lambda self: 100)
+        elif way == "host":
+            monkeypatch.setattr(rebuilding.DeviceRebuild, "possible", lambda batch: False)
+        simulation = Simulation(scene, device="cpu")
+        hash = simulation.run().result["state_hash"]
+        lists = simulation.stepper.lists
+        found[way] = hash, int(lists.by_device.numpy()[0]), int(lists.builds[0]) - int(lists.by_device.numpy()[0])
+    (one, by_device, by_host), (other, none, without_room), (third, never, by_host_alone) = found.values()
+    assert one == other == third
+    assert by_device > 2 and none == never == 0
+    assert by_host + by_device >= by_host_alone and without_room > by_host + 1
+
+
+def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists(like_a_gpu):
+    """Without estimates it looks after them every twenty steps."""
+    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
+    simulation.prepare()
+    stepper = simulation.stepper
+    launched, launch = [], stepper.batch.ahead.pieces
+    stepper.batch.ahead.pieces = lambda *now: launched.append(launch(*now)) or launched[-1]
+    before = int(stepper.lists.by_device.numpy()[0])
+    stepper.choose_dt()
+    stepper.take(500)
+    assert int(stepper.lists.by_device.numpy()[0]) > before + 1
+    assert all(max(pieces) <= WAIT for pieces in launched) and len(launched) < 4
 
 
 def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):

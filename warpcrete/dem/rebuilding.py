@@ -26,7 +26,7 @@ class DeviceRebuild:
         kernels = rebuilding_kernels(b.scalar)
         self.ask = b.stage(kernels.ask, 1, asked=self._asked)
         self.fit = b.stage(
-            kernels.fit, 1, scanned=lists.scanned, room=int(b.capacity[0]), fits=self._fits, built=lists.by_device
+            kernels.fit, 1, scanned=lists.scanned, room=self.room(), fits=self._fits, built=lists.by_device
         )
 
     @staticmethod
@@ -35,6 +35,10 @@ class DeviceRebuild:
         f = batch.features
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not f.growth and not f.meshes and able
+
+    def room(self) -> int:
+        """Entries that lists have room for."""
+        return int(self.lists.batch.capacity[0])
 
     def record(self) -> None:
         """Make ready, kernels loaded; nothing runs."""
