@@ -60,7 +60,7 @@ def pair_history(state) -> dict:
     features = state.model.features
     arrays = [state.pairs.history.numpy()] if features.history else []
     if features.bonds:
-        arrays += [a.numpy() for a in (state.pairs.bond, state.pairs.bond_force, state.pairs.bond_moment)]
+        arrays += [a.numpy() for a in (state.pairs.bond, state.pairs.load)]
     result = {}
     for i in range(state.sphere_count):
         for k in range(start[i], start[i + 1]):

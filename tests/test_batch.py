@@ -118,7 +118,7 @@ def test_what_a_scene_does_not_need_takes_no_memory(device):
     # On a GPU what touches is noted whether there is history or not.
     noted = () if device.startswith("cuda") else ("spheres.touching",)
     for scene, names in (
-        (falling(0.1), ("pairs.bond", "pairs.bond_force", "spheres.broken", "candidates.face", "slots.normal")),
+        (falling(0.1), ("pairs.bond", "pairs.load", "spheres.broken", "candidates.face", "slots.normal")),
         (
             dataclasses.replace(falling(0.1), contact=dataclasses.replace(falling(0.1).contact, friction=0.0)),
             ("pairs.history", "pairs.bond", *noted),

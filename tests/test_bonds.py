@@ -27,7 +27,8 @@ def bonded(start, bonds, *, velocity, spins=None, gap=1e-7, dt=2e-6):
 
 def load(stepper):
     """Bond force (shear x, y, z, tension) and moment (bending x, y, z, twisting) of the only pair."""
-    return stepper.state.pairs.bond_force.numpy()[0].copy(), stepper.state.pairs.bond_moment.numpy()[0].copy()
+    load = stepper.state.pairs.load.numpy()[0]
+    return load[:4].copy(), load[4:].copy()
 
 
 def strong(**changes):

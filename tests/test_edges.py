@@ -130,9 +130,9 @@ def test_healed_bonds_start_without_the_loads_of_settling(device):
     simulation.prepare()
     state = simulation.state
     made = state.pairs.bond.numpy() == 1
-    assert made.sum() > 50 and np.all(state.pairs.bond_force.numpy()[made] == 0)
+    assert made.sum() > 50 and np.all(state.pairs.load.numpy()[made] == 0)
     simulation.stepper.advance(0.005)
-    assert np.abs(state.pairs.bond_force.numpy()[state.pairs.bond.numpy() == 1]).max() > 0
+    assert np.abs(state.pairs.load.numpy()[state.pairs.bond.numpy() == 1]).max() > 0
 
 
 def test_one_size_is_a_distribution():

@@ -128,7 +128,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
     def bonds():
         i, j, entry = listed_pairs(simulation.state)
         ids = simulation.state.spheres.id.numpy()
-        kind, force = simulation.state.pairs.bond.numpy()[entry], simulation.state.pairs.bond_force.numpy()[entry]
+        kind, force = simulation.state.pairs.bond.numpy()[entry], simulation.state.pairs.load.numpy()[entry]
         place = simulation.state.spheres.position.numpy()
         gap = np.linalg.norm(place[i, :3] - place[j, :3], axis=1) - place[i, 3] - place[j, 3]
         return {(min(a, b), max(a, b)): (k, tuple(f), g) for a, b, k, f, g in zip(ids[i], ids[j], kind, force, gap)}
@@ -141,7 +141,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
         if kind == 1:
             assert after[pair][:2] == (grown, force)  # carries on what it carried
         elif kind <= 0 and gap <= 0:
-            assert after[pair][:2] == (grown, (0.0, 0.0, 0.0, 0.0))
+            assert after[pair][:2] == (grown, (0.0,) * 8)
             made += 1
         elif pair in after:  # lists drop what has gone far
             assert after[pair][0] == kind

@@ -136,7 +136,7 @@ def test_a_drawn_chain_carries_the_load(device):
     assert stepper.batch.subcycles.rounds > 10
     for _ in range(30):
         stepper.take(10)
-        loads = stepper.state.pairs.bond_force.numpy()[:, 3]
+        loads = stepper.state.pairs.load.numpy()[:, 3]
         assert loads.max() < 2 * force  # what a force doubles to that comes at once
     held = loads[stepper.state.pairs.bond.numpy() == 2]
     assert len(held) >= 3 and held == pytest.approx(force, rel=1e-6)
@@ -153,7 +153,7 @@ def test_a_stiff_pair_vibrates_at_its_own_frequency(device):
     loads = []
     for _ in range(int(1.2 * period / 2e-5)):
         stepper.take(1)
-        loads.append(float(stepper.state.pairs.bond_force.numpy()[0, 3]))
+        loads.append(float(stepper.state.pairs.load.numpy()[0, 3]))
     peak = 0.1 * math.sqrt(k * MASS / 2)
     assert max(loads) == pytest.approx(peak, rel=1e-3)  # less what dashpots take
     crossing = np.flatnonzero(np.diff(np.sign(loads)) < 0)[0]

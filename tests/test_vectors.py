@@ -140,4 +140,4 @@ def test_a_bond_that_is_none_spoils_no_contact(start):
     velocity = by_id(stepper.state, "velocity")
     assert np.isfinite(velocity).all()
     assert velocity[0, 2] == -velocity[1, 2] != 0 and velocity[2, 0] == -velocity[3, 0] < 0
-    assert not np.any(stepper.state.pairs.bond_force.numpy())
+    assert not np.any(stepper.state.pairs.load.numpy())

@@ -10,6 +10,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from .types import vec8d, vec8f
+
 READ = "return rows.data[i];"
 WRITE = "rows.data[i] = value;"
 READ_4F = """
@@ -44,6 +46,25 @@ WRITE_4D = """
     rows.data[i] = value;
 #endif
 """
+
+
+READ_HALF_4F = """
+#if defined(__CUDA_ARCH__)
+    const float4 row = reinterpret_cast<const float4*>(rows.data)[2 * size_t(i) + part];
+    return wp::vec_t<4, float>(row.x, row.y, row.z, row.w);
+#else
+    return reinterpret_cast<const wp::vec_t<4, float>*>(rows.data)[2 * size_t(i) + part];
+#endif
+"""
+WRITE_HALF_4F = """
+#if defined(__CUDA_ARCH__)
+    reinterpret_cast<float4*>(rows.data)[2 * size_t(i) + part] = make_float4(value[0], value[1], value[2], value[3]);
+#else
+    reinterpret_cast<wp::vec_t<4, float>*>(rows.data)[2 * size_t(i) + part] = value;
+#endif
+"""
+READ_HALF_4D = "return reinterpret_cast<const wp::vec_t<4, double>*>(rows.data)[2 * size_t(i) + part];"
+WRITE_HALF_4D = "reinterpret_cast<wp::vec_t<4, double>*>(rows.data)[2 * size_t(i) + part] = value;"
 
 
 @wp.func_native(READ)
@@ -82,16 +103,35 @@ def write_vec4f(rows: wp.array(dtype=wp.vec4f), i: wp.int32, value: wp.vec4f): .
 def write_vec4d(rows: wp.array(dtype=wp.vec4d), i: wp.int32, value: wp.vec4d): ...
 
 
+@wp.func_native(READ_HALF_4F)
+def read_half4f(rows: wp.array(dtype=vec8f), i: wp.int32, part: wp.int32) -> wp.vec4f: ...
+
+
+@wp.func_native(READ_HALF_4D)
+def read_half4d(rows: wp.array(dtype=vec8d), i: wp.int32, part: wp.int32) -> wp.vec4d: ...
+
+
+@wp.func_native(WRITE_HALF_4F)
+def write_half4f(rows: wp.array(dtype=vec8f), i: wp.int32, part: wp.int32, value: wp.vec4f): ...
+
+
+@wp.func_native(WRITE_HALF_4D)
+def write_half4d(rows: wp.array(dtype=vec8d), i: wp.int32, part: wp.int32, value: wp.vec4d): ...
+
+
 SINGLE = SimpleNamespace(
-    read_int=read_int, read_vec3=read_vec3f, read_vec4=read_vec4f, write_vec3=write_vec3f, write_vec4=write_vec4f
-)
+    read_int=read_int, read_vec3=read_vec3f, read_vec4=read_vec4f, write_vec3=write_vec3f, write_vec4=write_vec4f,
+    read_half=read_half4f, write_half=write_half4f,
+)  # fmt: skip
 DOUBLE = SimpleNamespace(
-    read_int=read_int, read_vec3=read_vec3d, read_vec4=read_vec4d, write_vec3=write_vec3d, write_vec4=write_vec4d
-)
+    read_int=read_int, read_vec3=read_vec3d, read_vec4=read_vec4d, write_vec3=write_vec3d, write_vec4=write_vec4d,
+    read_half=read_half4d, write_half=write_half4d,
+)  # fmt: skip
 
 
 def row_functions(scalar) -> SimpleNamespace:
-    """`read_int`, `read_vec3`, `read_vec4`, `write_vec3` and `write_vec4` of one precision."""
+    """`read_int`, `read_vec3`, `read_vec4`, `write_vec3` and `write_vec4` of one precision; `read_half` and
+    `write_half`, the first (0) or the second (1) four numbers of a row of eight."""
     return DOUBLE if scalar is wp.float64 else SINGLE
 
 

@@ -11,6 +11,9 @@ SPAN = 1024
 which costs 10 to 20 ns. On a GPU a task is a thread, with one body."""
 
 
+vec8f, vec8d = wp.types.vector(8, wp.float32), wp.types.vector(8, wp.float64)
+
+
 @functools.cache
 def types(scalar):
     """Vector, matrix and quaternion types of one scalar type (``wp.float32`` or ``wp.float64``)."""
@@ -19,6 +22,7 @@ def types(scalar):
         vec2=wp.vec2d if double else wp.vec2f,
         vec3=wp.vec3d if double else wp.vec3f,
         vec4=wp.vec4d if double else wp.vec4f,
+        vec8=vec8d if double else vec8f,
         mat33=wp.mat33d if double else wp.mat33f,
         quat=wp.quatd if double else wp.quatf,
     )

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from ..common.types import vector_functions
+from ..common.types import types, vector_functions
 from .pairs import decode
 from .structs import array_structs
 
@@ -18,7 +18,7 @@ def bond_kernels(scalar):
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs
     xyz = vector_functions(scalar).xyz
-    vec4 = wp.vec4d if scalar is wp.float64 else wp.vec4f
+    vec8 = types(scalar).vec8
 
     @wp.kernel(module="unique", enable_backward=False)
     def make(
@@ -40,8 +40,7 @@ def bond_kernels(scalar):
                 reach = spheres.position[i][3] + spheres.position[j][3] + gap
                 if wp.length_sq(xyz(spheres.position[j]) - xyz(spheres.position[i])) <= reach * reach:
                     pairs.bond[k] = kind
-                    pairs.bond_force[k] = vec4()
-                    pairs.bond_moment[k] = vec4()
+                    pairs.load[k] = vec8()
 
     @wp.kernel(module="unique", enable_backward=False)
     def reassign(

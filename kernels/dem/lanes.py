@@ -108,7 +108,7 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
     rolls = law.rolls
     Bond = bond_functions(scalar).Bond
     rows = row_functions(scalar)
-    read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
+    read_int, read_vec3, read_vec4, read_half = rows.read_int, rows.read_vec3, rows.read_vec4, rows.read_half
     f = column_functions(scalar)
     xyz = vector_functions(scalar).xyz
     put, put_int, put3, put4 = f.put, f.put_int, f.put3, f.put4
@@ -150,8 +150,8 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
             # One that is not bonded goes through the same numbers, which then count for nothing.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
-            put4(columns, wp.static(at["bond_force"]), lane, read_vec4(pairs.bond_force, k))
-            put4(columns, wp.static(at["bond_moment"]), lane, read_vec4(pairs.bond_moment, k))
+            put4(columns, wp.static(at["bond_force"]), lane, read_half(pairs.load, k, 0))
+            put4(columns, wp.static(at["bond_moment"]), lane, read_half(pairs.load, k, 1))
 
     return gather
 
@@ -243,7 +243,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     count_broken = broken_function(scalar)
     rows = row_functions(scalar)
     read_int, read_vec3 = rows.read_int, rows.read_vec3
-    write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
+    write_vec3, write_vec4, write_half = rows.write_vec3, rows.write_vec4, rows.write_half
     f = column_functions(scalar)
     pack = vector_functions(scalar).pack
     get, get_int, get3, get4 = f.get, f.get_int, f.get3, f.get4
@@ -269,8 +269,8 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
             if wp.static(bonds or dissipation):
                 own = shared or read_int(pairs.other, k) >= 0
                 if wp.static(bonds):
-                    write_vec4(pairs.bond_force, k, get4(columns, wp.static(at["bond_force"]), lane))
-                    write_vec4(pairs.bond_moment, k, get4(columns, wp.static(at["bond_moment"]), lane))
+                    write_half(pairs.load, k, 0, get4(columns, wp.static(at["bond_force"]), lane))
+                    write_half(pairs.load, k, 1, get4(columns, wp.static(at["bond_moment"]), lane))
                     outcome = get_int(ints, wp.static(int_at["bond"]), lane)
                     if outcome < 0:
                         pairs.bond[k] = outcome

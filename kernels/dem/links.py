@@ -189,6 +189,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         if wp.static(healing):
             if pairs.bond[k] < 0:
                 pairs.bond[k] = 0  # may bond again at the next touch
+                pairs.load[k] = t.vec8()
                 pairs.bond[twin] = 0
         return lost
 

@@ -80,12 +80,10 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                     if wp.static(bonds):
                         if old >= 0:
                             pairs.bond[k] = old_pairs.bond[old]
-                            pairs.bond_force[k] = old_pairs.bond_force[old]
-                            pairs.bond_moment[k] = old_pairs.bond_moment[old]
+                            pairs.load[k] = old_pairs.load[old]
                         else:
                             pairs.bond[k] = 0
-                            pairs.bond_force[k] = t.vec4()
-                            pairs.bond_moment[k] = t.vec4()
+                            pairs.load[k] = t.vec8()
 
     return transfer_history
 

@@ -65,8 +65,7 @@ def locating_kernels(scalar, half: bool, history: bool):
         if k >= 0:  # else parted, long after its bond broke
             subcycled.active[p] = wp.where(pairs.bond[k] == HYDRATED, 1, 0)
             subcycled.held.bond[p] = pairs.bond[k]
-            subcycled.held.bond_force[p] = pairs.bond_force[k]
-            subcycled.held.bond_moment[p] = pairs.bond_moment[k]
+            subcycled.held.load[p] = pairs.load[k]
             if wp.static(history):
                 subcycled.held.history[p] = pairs.history[k]
 

@@ -136,6 +136,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
         if wp.static(healing):
             if pairs.bond[k] < 0:
                 pairs.bond[k] = 0  # may bond again at the next touch
+                pairs.load[k] = t.vec8()
         return lost
 
     @wp.func
@@ -247,7 +248,7 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
     Bond = bond_functions(scalar).Bond
     bond_pull = bond_pull_functions(scalar, dissipation).bond_pull
     rows = row_functions(scalar)
-    read_int, read_vec4, write_vec4 = rows.read_int, rows.read_vec4, rows.write_vec4
+    read_int, read_half, write_half = rows.read_int, rows.read_half, rows.write_half
 
     @wp.func
     def bonded(
@@ -271,14 +272,14 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
                 pairs.bond[k] = 1
         if kind > 0:
             pull = bond_pull(
-                parameters[first_kind + kind], pair, relative_spin, read_vec4(pairs.bond_force, k),
-                read_vec4(pairs.bond_moment, k), lost, dt,
+                parameters[first_kind + kind], pair, relative_spin, read_half(pairs.load, k, 0),
+                read_half(pairs.load, k, 1), lost, dt,
             )  # fmt: skip
             outcome = pull.outcome
             if outcome < 0:
                 pairs.bond[k] = outcome
-            write_vec4(pairs.bond_force, k, pull.force)
-            write_vec4(pairs.bond_moment, k, pull.moment)
+            write_half(pairs.load, k, 0, pull.force)
+            write_half(pairs.load, k, 1, pull.moment)
             total = pull.contact * total + pull.total
             moment = pull.bending
             lost = pull.lost

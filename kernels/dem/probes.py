@@ -5,6 +5,7 @@ import functools
 import warp as wp
 
 from ..common.geometry import axis_functions
+from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .bond_parallel import HYDRATED, bond_functions
@@ -164,6 +165,7 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
     Bond, bond_energy = bond_functions(scalar).Bond, bond_functions(scalar).bond_energy
     xyz = vector_functions(scalar).xyz
     safe_normalize = vector_functions(scalar).safe_normalize
+    read_half = row_functions(scalar).read_half
 
     @wp.func
     def measure_pair(
@@ -219,7 +221,7 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
             if kind > 0:
                 touch = sphere_touch(n, zero, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
                 b = bond_parameters[scenes.row[s].bonds + kind]
-                stored = bond_energy(b, touch, pairs.bond_force[k], pairs.bond_moment[k])
+                stored = bond_energy(b, touch, read_half(pairs.load, k, 0), read_half(pairs.load, k, 1))
                 sums[BOND_ENERGY] += wp.float64(stored)
                 sums[BONDED] += wp.float64(1.0)
                 if kind == HYDRATED:

@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .analytic_walls import surface_touch_function
@@ -30,6 +31,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
     shape = wall_functions(scalar)
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     xyz = vector_functions(scalar).xyz
+    read_half = row_functions(scalar).read_half
 
     @wp.func
     def force_on(
@@ -48,7 +50,8 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
             total = push
         if wp.static(bonds):
             if pairs.bond[k] > 0:
-                total = total + xyz(pairs.bond_force[k]) + pairs.bond_force[k][3] * pair.touch.normal
+                load = read_half(pairs.load, k, 0)
+                total = total + xyz(load) + load[3] * pair.touch.normal
         return sign * total
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -111,8 +111,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, k: wp.int32):
         """Bring an entry of the list up to date."""
         pairs.bond[k] = subcycled.held.bond[p]
-        pairs.bond_force[k] = subcycled.held.bond_force[p]
-        pairs.bond_moment[k] = subcycled.held.bond_moment[p]
+        pairs.load[k] = subcycled.held.load[p]
         if wp.static(history):
             pairs.history[k] = subcycled.held.history[p]
 

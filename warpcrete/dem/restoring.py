@@ -82,8 +82,9 @@ def state_hash(state: State) -> str:
         digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
     if features.bonds:
         digest.update(np.ascontiguousarray(bond[kept][ranks]).tobytes())
-        for array in (state.pairs.bond_force, state.pairs.bond_moment):
-            digest.update(array.numpy()[chosen].tobytes())
+        load = state.pairs.load.numpy()[chosen]
+        load[bond[kept][ranks] <= 0] = 0.0  # what broke leaves zeros of either sign
+        digest.update(load.tobytes())
     by_sphere = np.argsort(ids)
     slots = state.slots
     for array in (slots.history, slots.rolling, slots.normal, slots.overlap, slots.wall):

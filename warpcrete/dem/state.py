@@ -288,7 +288,7 @@ class State:
         )
 
 
-PAIR_ARRAYS = ("other", "history", "rolling", "bond", "bond_force", "bond_moment")
+PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
 """Arrays of `pairs` that have an entry for each listed pair."""
 
 
@@ -296,7 +296,7 @@ def pair_bytes(model: Model) -> dict[str, int]:
     """Size of an entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    used |= dict.fromkeys(("bond", "bond_force", "bond_moment"), f.bonds)
+    used |= dict.fromkeys(("bond", "load"), f.bonds)
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 

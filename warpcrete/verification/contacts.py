@@ -168,7 +168,7 @@ def stick_slip(device, precision) -> list[Row]:
     ):
         stepper.advance(time)
         rows.append(
-            Row(f"force of the spring, {label}", float(stepper.state.pairs.bond_force.numpy()[0, 3]), force, 5e-3, "N")
+            Row(f"force of the spring, {label}", float(stepper.state.pairs.load.numpy()[0, 3]), force, 5e-3, "N")
         )
     return rows
 
