@@ -16,7 +16,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
-from warpcrete.core.run_loop import Run
+from warpcrete.core.run_loop import Recorder, Run
 from warpcrete.dem import rebuilding
 from warpcrete.dem.ahead import WAIT, Ahead
 from warpcrete.dem.batch import Batch
@@ -25,6 +25,7 @@ from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
 from warpcrete.dem.scene import TimeStep
+from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
@@ -433,6 +434,73 @@ def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists(like_a_gpu):
     stepper.take(500)
     assert int(stepper.lists.by_device.numpy()[0]) > before + 1
     assert all(max(pieces) <= WAIT for pieces in launched) and len(launched) < 4
+
+
+class Rows(Recorder):
+    """Keeps each row with where the run was then."""
+
+    rows_alone = True
+
+    def __init__(self):
+        self.rows = []
+
+    def sample(self, simulation, row):
+        self.rows.append((*simulation.sampled, row["time"], row["pressure"]))
+
+
+def test_rows_are_completed_while_steps_go_on(like_a_gpu, monkeypatch):
+    """The same rows, in the same order; where a look for a blockage is due none is left for later."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    begun, begin = [], ElementSimulation.begin_measure
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
+    runs, rows = [], []
+    for later in (True, False):
+        recorder = Rows()
+        recorder.rows_alone = later
+        runs.append(Simulation(scene, device="cpu", recorders=[recorder]).run())
+        rows.append(recorder.rows)
+    assert sum(begun) > 15 and not all(begun) and len(begun) < len(rows[0])
+    assert rows[0] == rows[1] and all(time == of_row for time, _, of_row, _ in rows[0])
+    assert runs[0].result["state_hash"] == runs[1].result["state_hash"]
+    for name in runs[1].series:
+        assert np.array_equal(runs[0].series[name], runs[1].series[name], equal_nan=True), name
+
+
+def test_what_a_row_completed_later_complains_of_ends_the_run(like_a_gpu, monkeypatch):
+    """And it keeps that row."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    watched, watch = [], ElementSimulation.watch_row
+
+    def complain(self, row):
+        watch(self, row)
+        watched.append(row["time"])
+        if len(watched) == 7:
+            raise InstabilityError("enough")
+
+    monkeypatch.setattr(ElementSimulation, "watch_row", complain)
+    simulation = Simulation(scene, device="cpu")
+    with pytest.raises(InstabilityError, match="enough"):
+        simulation.run()
+    assert [row["time"] for row in simulation.rows] == watched
+    assert simulation.stepper.time > watched[-1]
+
+
+def test_an_interrupted_run_completes_the_row_that_it_began(like_a_gpu, monkeypatch):
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    launched, launch = [], Batch.launch
+
+    def interrupted(self):
+        launched.append(simulation.sampled[0] if simulation.__dict__.get("sampler") else 0.0)
+        if launched[-1] > 0.01:
+            raise KeyboardInterrupt
+        launch(self)
+
+    monkeypatch.setattr(Batch, "launch", interrupted)
+    simulation = Simulation(scene, device="cpu")
+    run = simulation.run()
+    assert run.interrupted and run.series["time"][-1] == launched[-1]
 
 
 def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,23 @@ class Exchange:
             wp.copy(buffer, array)
         self._wait()
         return [view.copy() for _, view in beside]
+
+    def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
+        """Begin a read beside all others; what is returned waits for the copies, as the arrays are now. One read of an
+        array is begun at a time."""
+        if not self.device.is_cuda:
+            copies = [array.numpy().copy() for array in arrays]
+            return lambda: copies
+        beside = [self._beside("begun", array) for array in arrays]
+        for (buffer, _), array in zip(beside, arrays):
+            wp.copy(buffer, array)
+        done = self.device.stream.record_event()
+
+        def wait() -> list[np.ndarray]:
+            wp.synchronize_event(done)
+            return [view.copy() for _, view in beside]
+
+        return wait
 
     def ask(self, *arrays: wp.array) -> None:
         """Begin a read, with no other on the way: the host goes on until it wants the :meth:`answer`."""

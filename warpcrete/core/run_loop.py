@@ -9,6 +9,7 @@ import time as wall_clock
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -47,6 +48,9 @@ class Recorder:
 
     Methods are called in this order; `finish` also after an interruption or an error.
     """
+
+    rows_alone: ClassVar[bool] = False
+    """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since."""
 
     def start(self, simulation: Any) -> None:
         """The run is about to begin."""
@@ -151,6 +155,9 @@ class Simulation:
         self._ran = False
         self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
         self._samples = 0  # rows after the one at t = 0
+        self.sampled = 0.0, 0
+        """Time [s] and steps of the last row."""
+        self._left: float | None = None  # fraction done at a row that is completed when further steps are under way
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -184,7 +191,11 @@ class Simulation:
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`."""
+        """Measure, and append the row to `rows`; the row that was begun, if one was."""
+
+    def begin_measure(self) -> bool:
+        """Begin a row of the state as it is now, if the run may go on before it is complete."""
+        return False
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
@@ -293,6 +304,8 @@ class Simulation:
             except KeyboardInterrupt:
                 interrupted = True
         finally:
+            with suppress(WarpcreteError):  # the run has ended already, for another reason
+                self._complete()
             self._spent["running"] = self._running()
             self.finishing = True
             run = self.result(finished)
@@ -318,6 +331,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if not self.rows:
+            self.sampled = stepper.time, stepper.steps
             self._sample()
             self._frame()
             self._checkpoint()
@@ -326,6 +340,7 @@ class Simulation:
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
         for number in range(self._samples + 1, samples + 1):
             if self.stop_requested:
+                self._complete()
                 self._checkpoint()
                 return False
             goal = min(number * interval, duration)
@@ -333,7 +348,11 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._samples = number
+            self._samples, self.sampled = number, (stepper.time, stepper.steps)
+            if number < samples and self._goes_on():
+                self._left = number / samples
+                stepper.meanwhile = self._complete
+                continue
             row = self._sample()
             ended = self.ended_early()
             if self.frames.due(stepper.time) or number == samples or ended:
@@ -342,13 +361,25 @@ class Simulation:
                 return True
             if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
                 self._checkpoint()
-            self.tell(
-                "running",
-                number / samples,
-                steps_per_s=stepper.steps / max(self._running(), 1e-9),
-                **({"pressure": row["pressure"]} if "pressure" in row else {}),
-            )
+            self._tell_of(row, number / samples)
         return True
+
+    def _goes_on(self) -> bool:
+        """Whether the next steps may be launched before this sample is complete: nobody but it wants the state as it is
+        now. Begins the sample then."""
+        return (
+            not self.stop_requested
+            and all(r.rows_alone or type(r).sample is Recorder.sample for r in self.recorders)
+            and not (self.recorders and self.frames.due(self.sampled[0]))
+            and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
+            and self.begin_measure()
+        )
+
+    def _complete(self) -> None:
+        """Do what was left of a sample, if anything was."""
+        fraction, self._left = self._left, None
+        if fraction is not None:
+            self._tell_of(self._sample(), fraction)
 
     def _sample(self) -> dict[str, float]:
         row = self.measure()
@@ -356,6 +387,14 @@ class Simulation:
             recorder.sample(self, row)
         self.watch_row(row)
         return row
+
+    def _tell_of(self, row: dict[str, float], fraction: float) -> None:
+        self.tell(
+            "running",
+            fraction,
+            steps_per_s=self.sampled[1] / max(self._running(), 1e-9),
+            **({"pressure": row["pressure"]} if "pressure" in row else {}),
+        )
 
     def _frame(self) -> None:
         for recorder in self.recorders:

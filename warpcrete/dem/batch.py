@@ -187,15 +187,23 @@ class Batch(JointArrays):
     def host_walls(self, s: int) -> np.ndarray:
         """What is read of the walls of a scene, as they are on the device: columns of `kernels/dem/probes.py`."""
         if self._walls is None:
-            if self._wall_reading is None:
-                self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
-                reading = {"walls": self.walls, "wall_values": self._wall_values}
-                probe = wall_probe(self.scalar)
-                self._wall_reading = Stage(probe, self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
-            self._wall_reading()
-            (self._walls,) = self.exchange.read(self._wall_values)
+            (self._walls,) = self.exchange.read(self.wall_values())
+        return self.own_walls(s, self._walls)
+
+    def wall_values(self) -> wp.array:
+        """The same of all walls, on the device: good until the next call."""
+        if self._wall_reading is None:
+            self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
+            reading = {"walls": self.walls, "wall_values": self._wall_values}
+            probe = wall_probe(self.scalar)
+            self._wall_reading = Stage(probe, self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
+        self._wall_reading()
+        return self._wall_values
+
+    def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
+        """Rows of a scene among those of all walls."""
         first = int(self.rows["walls"][s])
-        return self._walls[first : first + int(self.rows["wall_count"][s])]
+        return values[first : first + int(self.rows["wall_count"][s])]
 
     def device_changed(self) -> None:
         """Flags or clocks on the device are, or are about to become, others than those read last."""

@@ -70,10 +70,14 @@ class BlockageWatch:
         self._looked, self._pressure = float(state["looked"]), float(state["pressure"])
         self._standing = None if state["standing"] is None else float(state["standing"])
 
+    def is_due(self, travel: float) -> bool:
+        """Whether it looks at a row of this travel of the piston [m]."""
+        return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
+
     def __call__(self, row: dict[str, float]) -> None:
         """Look, if the piston has gone far enough since the last look."""
         travel = row.get("travel", 0.0)
-        if self.found or travel < self._looked + self.window / LOOKS or self.state.body_count == 0:
+        if not self.is_due(travel):
             return
         s, volume = self._stones()
         if len(s) < STONES:

@@ -78,12 +78,25 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
     return _contacts_of(state, *_read(state, "contacts"), coordination)
 
 
-def both_sums(model: Model, state: State) -> tuple[BodySums, ContactSums]:
-    """Sums over bodies and over contacts, which a GPU makes with one launch, and the host waits for once."""
+Sums = tuple[BodySums, ContactSums, np.ndarray]
+
+
+def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
+    """Sums over bodies and over contacts as they are now, and what is read of each wall, shape (walls, WALL_COLUMNS): a
+    GPU makes them with one launch, and the host waits for them when it calls what is returned, once."""
+    batch, index = state.batch, state.index
+    arrays = [batch.wall_values()]
     if state.body_count:
         launched(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
-    bodies, contacts = _read(state, "bodies", "contacts")
-    return _bodies_of(state, bodies), _contacts_of(state, contacts, False)
+        arrays += [_sums(state, each, COLUMNS[each]) for each in COLUMNS]
+    wait = batch.exchange.begin(*arrays)
+
+    def sums() -> Sums:
+        walls, *found = wait()
+        bodies, contacts = found or [np.zeros(columns) for columns in COLUMNS.values()]
+        return _bodies_of(state, bodies), _contacts_of(state, contacts, False), batch.own_walls(index, walls)
+
+    return sums
 
 
 COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_COLUMNS)}

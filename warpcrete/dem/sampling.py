@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..kernels.dem.structs import DT, DT_PREVIOUS, TIME
 from .measures import UNITS as MEASURED
 from .measures import measured
 from .model import Model
-from .probes import both_sums
+from .probes import Sums, begin_sums
 from .segregation import UNITS as SEGREGATION
 from .segregation import row_of
 from .state import State
@@ -80,6 +80,7 @@ class Sampler:
         stations = model.scene.stations
         self.log = StationLog(stations) if stations is not None and stations.each_row else None
         """What is measured along the pipe, where the scene asks for it in every row."""
+        self._begun: tuple[np.ndarray, Callable[[], Sums]] | None = None
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -118,11 +119,28 @@ class Sampler:
         """Columns by name."""
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
+    @property
+    def may_wait(self) -> bool:
+        """Whether a row that is begun may be completed when further steps are under way: one of sums alone."""
+        scene, features = self.model.scene, self.model.features
+        return (
+            self.log is None and self.wear is None and scene.vessel is None and not scene.segregation
+            and not features.dissipation and self.state.body_count > 0
+        )  # fmt: skip
+
+    def begin(self) -> None:
+        """Begin a row of the state as it is now, which `sample` completes."""
+        batch, index = self.state.batch, self.state.index
+        self._begun = batch.host_clock()[index].copy(), begin_sums(self.model, self.state)
+
     def sample(self) -> dict[str, float]:
-        """Measure, and append a row."""
+        """Measure, and append a row: the one that was begun, if any."""
+        if self._begun is None:
+            self.begin()
+        assert self._begun is not None
+        (clock, sums), self._begun = self._begun, None
         model, state, scene = self.model, self.state, self.model.scene
-        bodies, contacts = both_sums(model, state)
-        clock, walls = state.batch.host_clock()[state.index], state.batch.host_walls(state.index)
+        bodies, contacts, walls = sums()
         impulse = self._forces(clock, walls, bodies.drive_power)
         row = {"time": float(clock[int(TIME)])} | self._pressure(walls)
         row |= {

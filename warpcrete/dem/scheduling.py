@@ -39,7 +39,17 @@ class _Scene:
         self.stepper, self.coroutine = stepper, coroutine
         self._under_way: Coroutine | None = None
         self.waiting = False
+        self.error: Exception | None = None  # of what was done meanwhile
         self.result: Any = None
+
+    def meanwhile(self) -> None:
+        """Do what the coroutine left to be done when its steps are under way."""
+        left, self.stepper.meanwhile = self.stepper.meanwhile, None
+        if left is not None:
+            try:
+                left()
+            except Exception as error:  # raised inside it when they are done
+                self.error = error
 
     def go_on(self, error: BaseException | None = None) -> None:
         """Run until the batch must take steps, or to the end; an `error` is raised inside the coroutine."""
@@ -145,6 +155,9 @@ class _Drive:
         if not batch.has_step:
             batch.use_step(step_stages(batch), *self._by_device(stepper))
         batch.launch()
+        with put_off():
+            for member in self.waiting:
+                member.meanwhile()
 
     @staticmethod
     def _by_device(stepper: Any) -> tuple[Callable[[], None] | None, Callable[[], None] | None]:
@@ -160,7 +173,8 @@ class _Drive:
         waiting, flags = self.waiting, self._launched.settle()
         stepper = waiting[0].stepper
         for member in waiting:
-            if (error := member.stepper.trouble(flags[member.stepper.index])) is not None:
+            error, member.error = member.error or member.stepper.trouble(flags[member.stepper.index]), None
+            if error is not None:
                 self._go_on(member, error)
         batch, running = stepper.batch, [m.stepper.index for m in waiting if m.waiting]
         if len(outdated := batch.ahead.due(flags, batch.rows["sort_every"], running)):

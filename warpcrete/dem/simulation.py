@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from ..core.provenance import provenance
 from ..core.run import Table
 from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
+from ..geometry.walls import Driven
 from .blockage import BlockageWatch
 from .bodies import BodyTable, placed_bodies
 from .display import ElementDisplay
@@ -250,6 +252,23 @@ class ElementSimulation(Simulation):
         if self.blockage is not None:
             self.blockage(row)
         return row
+
+    def begin_measure(self) -> bool:
+        """Begin a row where a GPU may go on meanwhile: nothing but sums is wanted, and no end is near."""
+        row = self.rows[-1]
+        calm = self.watch.is_calm(row) and self.stepper.batch.parallel and self.sampler.may_wait
+        if not calm or (self.blockage is not None and self.blockage.is_due(self._farthest(row))):
+            return False
+        self.sampler.begin()
+        return True
+
+    def _farthest(self, row: dict[str, float]) -> float:
+        """Travel of the wall that pushes, at most, in the row that follows one [m]."""
+        probe = self.scene.pressure
+        pushing = next((wall for wall in self.model.walls if probe is not None and wall.name == probe.wall), None)
+        if pushing is None or isinstance(pushing.motion, Driven):
+            return math.inf
+        return row["travel"] + pushing.top_speed() * (self.sampled[0] - row["time"]) * (1 + 1e-9)
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""

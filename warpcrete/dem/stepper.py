@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,8 @@ class Stepper:
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
         self.running = False  # until then an unstable fixed step is bad input, later an instability
+        self.meanwhile: Callable[[], None] | None = None
+        """To be called once, when further steps are under way."""
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0

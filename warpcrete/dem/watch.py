@@ -13,6 +13,8 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 from .state import State
 
+CALM = 0.5
+"""Of the overlap that is watched for, below which no row is expected to pass it."""
 COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
 
 
@@ -39,6 +41,10 @@ class Watch:
     def load_state_dict(self, state: dict[str, float]) -> None:
         """Go on from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
+
+    def is_calm(self, row: dict[str, float]) -> bool:
+        """Whether after such a row the next will hardly raise anything."""
+        return self.limits.overlap is None or row["deepest_overlap"] < CALM * self.limits.overlap
 
     def __call__(self, row: dict[str, float]) -> None:
         """Raises :class:`InstabilityError` naming time, body, quantity and cures."""

@@ -42,6 +42,8 @@ class RerunRecorder(Recorder):
     resumed goes on after a whole part. At the end they become one file.
     """
 
+    rows_alone = True
+
     def __init__(
         self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
     ) -> None:
@@ -91,7 +93,7 @@ class RerunRecorder(Recorder):
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Curves at one row."""
         assert self._display is not None
-        time, steps = simulation.stepper.time, simulation.stepper.steps
+        time, steps = simulation.sampled
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
         }

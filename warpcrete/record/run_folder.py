@@ -35,6 +35,8 @@ class TableRecorder(Recorder):
     to keep in scene.json for a resumed run.
     """
 
+    rows_alone = True
+
     def __init__(self, folder: Path, command: dict[str, Any] | None = None) -> None:
         self.folder, self.command = folder, command
         self._file: TextIO | None = None
