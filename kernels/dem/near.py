@@ -50,11 +50,11 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 
 
 @functools.cache
-def near_kernels(scalar, bonds: bool) -> SimpleNamespace:
+def near_kernels(scalar) -> SimpleNamespace:
     """`see_spheres` over spheres, scenes and counts, whatever are most: where spheres are now; then `choose_near` over
     links, in whole blocks."""
     structs = array_structs(scalar)
-    Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
+    Scenes, Spheres = structs.Scenes, structs.Spheres
     Links = links_struct(scalar)
     xyz = vector_functions(scalar).xyz
     rows = row_functions(scalar)
@@ -72,7 +72,7 @@ def near_kernels(scalar, bonds: bool) -> SimpleNamespace:
             links.near_count[i] = 0
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def choose_near(scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links):
+    def choose_near(scenes: Scenes, spheres: Spheres, links: Links):
         p = wp.tid()
         near = wp.bool(False)
         link = wp.vec4i(-1, -1, -1, -1)
@@ -86,10 +86,8 @@ def near_kernels(scalar, bonds: bool) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # What remembers a touch must be told that it is over, and bonds hold whatever is between.
+            # What remembers a touch must be told that it is over; what is bonded counts as touching.
             near = near or links.touched[p] != 0
-            if wp.static(bonds):
-                near = near or pairs.bond[row + link[2]] != 0
         place = take_place(links.near_count, near)
         if near:
             links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], p)

@@ -77,7 +77,7 @@ def near_stages(batch: Batch) -> list[Stage]:
     b = batch
     if b.features.half_list:
         return []
-    near = near_kernels(b.scalar, b.features.bonds)
+    near = near_kernels(b.scalar)
     whole = -(-len(b.links.link) // CHOICE_BLOCK) * CHOICE_BLOCK
     return [
         b.stage(near.see_spheres, max(b.sphere_count, b.count, 2), every=CHOSEN),
