@@ -158,7 +158,6 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
     xyz = vector_functions(scalar).xyz
-    read_int = row_functions(scalar).read_int
     part_pull = pull_functions(scalar, pull_rows(bonds, rolls, dissipation)).part_pull
     mark = mark_function(scalar)
 
@@ -196,19 +195,18 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     @wp.func
     def looks(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
-        s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
+        s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
+        """`state` and `kind` are those of `links.touched` and `pairs.bond`."""
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
         close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
         held_apart = wp.bool(False)
         if wp.static(bonds):
-            kind = pairs.bond[k]
             close = close or kind > 0
             if wp.static(subcycling):
                 held_apart = kind == HYDRATED  # stepped in rounds of its own
                 close = close and not held_apart
-        state = read_int(links.touched, p)
         after = wp.where(close, 1, 0)
         if held_apart:
             after = 3  # may part at the first look after its bond broke
@@ -319,7 +317,7 @@ def link_kernel(
     Bond = bond_functions(scalar).Bond
     looks = look_function(scalar, law, history, bonds, healing, subcycling, dissipation)
     evaluate = link_functions(scalar, law, history, bonds, healing, dissipation, mixed)
-    read_vec4 = row_functions(scalar).read_vec4
+    read_int, read_vec4 = row_functions(scalar).read_int, row_functions(scalar).read_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
@@ -353,9 +351,14 @@ def link_kernel(
             s = spheres.scene[ends[0]]
             # Asked for before it is known whether they are wanted: nobody waits for the one and then for the other.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
+            state, kind = read_int(links.touched, ends[3]), wp.int32(0)
+            if wp.static(bonds):
+                kind = read_int(pairs.bond, ends[2])
             if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
                 continue
-            if looks(scenes, spheres, pairs, links, pair_parameters, s, ends, position_i, position_j):
+            if looks(
+                scenes, spheres, pairs, links, pair_parameters, s, ends, position_i, position_j, state, kind
+            ):  # fmt: skip
                 evaluate(
                     scenes, spheres, pairs, links, pair_parameters, bond_parameters, s, ends, position_i, position_j
                 )
