@@ -402,7 +402,9 @@ def test_the_device_estimates_the_step_as_the_host_would(like_a_gpu, monkeypatch
     assert len(asked) - 2 * few > 5  # what the device took over
 
 
-@pytest.mark.parametrize("more", [{}, dict(shapes="shape-1.5"), dict(hydration=0.2, hydration_modulus=1e7)])
+@pytest.mark.parametrize(
+    "more", [dict(wall="mesh"), dict(shapes="shape-1.5"), dict(hydration=0.2, hydration_modulus=1e7)]
+)
 def test_the_device_builds_lists_as_the_host_would(like_a_gpu, monkeypatch, more):
     """And leaves it to the host where there is no room for them."""
     scene = scenes.pipe(**SMALL | dict(travel=0.03), **more)

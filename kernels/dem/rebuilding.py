@@ -23,12 +23,15 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
 
     @wp.kernel(module="unique", enable_backward=False)
     def fit(
-        scanned: wp.array(dtype=wp.int32), room: wp.int32, fits: wp.array(dtype=wp.int32),
-        built: wp.array(dtype=wp.int32),
+        scanned: wp.array(dtype=wp.int32), room: wp.int32, face_scanned: wp.array(dtype=wp.int32), face_room: wp.int32,
+        fits: wp.array(dtype=wp.int32), built: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """Entries of all rows, of which the last, of no sphere, says how many they are."""
+        """Entries of all rows, of which the last, of no sphere, says how many they are; no rows need no room."""
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room
+        if face_scanned.shape[0] > 0:
+            faces = face_scanned[face_scanned.shape[0] - 1]
+            holds = holds and faces >= 0 and faces <= face_room
         fits[0] = wp.where(holds, 1, 0)
         if holds:
             built[0] = built[0] + 1

@@ -138,9 +138,8 @@ def array_structs(scalar) -> SimpleNamespace:
         history: wp.array(dtype=t.vec4)  # of the contact, for springs the shear force [N], and nothing, shape (pairs,)
         rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
         bond: wp.array(dtype=wp.int32)  # kind of bond, 0 for none, below 0 broken, shape (pairs,)
-        # Of a bond: shear vector and tension [N], bending vector and torsion [N m], shape (pairs,); one row, since a
-        # GPU moves 32 bytes or none.
-        load: wp.array(dtype=t.vec8)
+        load: wp.array(dtype=t.vec8)  # of a bond: shear vector and tension [N], bending vector and torsion [N m], shape
+        # (pairs,); one row, since a GPU moves 32 bytes or none
 
     @wp.struct
     class Candidates:

@@ -1,4 +1,4 @@
-"""Verlet lists: built on a grid of cells, carried over exactly, re-sorted along the grid now and then."""
+"""Verlet lists: built on a grid of cells, carried over exactly, of bodies that are re-sorted now and then."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.errors import CapacityError
-from ..core.launching import Stage, launch
+from ..core.launching import Stage
 from ..core.scan import scan_stages
 from ..kernels.common.control import STALE, STEPS
 from ..kernels.common.types import types
@@ -19,13 +19,13 @@ from ..kernels.dem.linking import linking_kernels
 from ..kernels.dem.lists import list_kernels, transfer_kernel
 from ..kernels.dem.mesh_contacts import candidate_kernels
 from ..kernels.dem.search import full_search_kernels, half_search_kernel
-from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
 from .batch import Batch
 from .cells import Cells
 from .joint import MAXIMUM_ENTRIES
 from .links import rows_of
+from .sorting import sort_bodies, sorting_kernels
 from .stages import MANY, near_stages, tasks
-from .state import OF_BATCH, PAIR_ARRAYS, pair_bytes
+from .state import PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
 OCTANTS = 8
@@ -34,12 +34,6 @@ KEPT = 32
 """Neighbours of a sphere that are kept from a search; one that has more is searched for twice."""
 MOST_KEPT = 64
 """As many as that, once there were spheres that have more, but none more than these."""
-SORTED = {
-    "bodies": ("first", *OF_BATCH["bodies"]),
-    "spheres": ("scene", "body", "force", "moment"),
-    "slots": (),
-}
-"""Structs whose rows a re-sorting moves, and those of their arrays that stay: they are made anew, or zero."""
 
 
 @dataclass
@@ -67,8 +61,10 @@ class _Launches:
     """Of parts of a rebuild, on a GPU."""
     ran: set[str] = field(default_factory=set)
     """Parts that have been launched once."""
-    faces: list[Stage] = field(default_factory=list)
-    """Count, starts and fill of mesh candidates."""
+    count_faces: list[Stage] = field(default_factory=list)
+    """Counts mesh candidates."""
+    fill_faces: list[Stage] = field(default_factory=list)
+    """Starts and fill of them."""
 
 
 class NeighborLists:
@@ -92,6 +88,8 @@ class NeighborLists:
 
         self._centre = zeros(n, t.vec3)
         self._count, self.scanned = zeros(n + scenes), zeros(n + scenes)
+        slots = n + scenes if f.meshes else 0
+        self._face_count, self.face_scanned = zeros(slots), zeros(slots)
         # Half lists: what a search finds, in a room for each chunk, and where a sphere's part of that begins.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
@@ -139,7 +137,7 @@ class NeighborLists:
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
         if sort:
-            self._sort(due)
+            sort_bodies(b, due, self._old_place, self._new_place)
         self._builds[stale] += 1
         self._searchers = self._searchers_for(int(b.rows["sphere_count"][stale].sum()))
         self._keep_old(np.flatnonzero(stale))
@@ -173,15 +171,15 @@ class NeighborLists:
             if b.ahead.rebuilds_itself:
                 b.invalidate_graphs()
         if b.features.meshes:
-            launches.faces[0]()
-            for stage in launches.scan:
+            begin, fill = launches.fill_faces
+            for stage in (*launches.count_faces, begin):
                 stage()
-            launches.faces[1]()
             wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
             if np.any(wanted > b.face_capacity):
                 b.reserve_faces(wanted)
                 launches = self._launches(sort)
-            launches.faces[2]()
+                _, fill = launches.fill_faces
+            fill()
         b.subcycles.locate()
         self._run(launches, self._after)
         b.device_changed()
@@ -244,8 +242,9 @@ class NeighborLists:
         self._keep_old(np.arange(self.batch.count))
         each = self._launches(False)
         return [
-            *self.batch.sync_stages(), each.centres, *each.cells, *each.search, *each.scan, each.starts, *each.fill,
-            *each.transfer, *each.links, *self.batch.subcycles.locating(), each.drift, each.clear_stale, *each.near,
+            *self.batch.sync_stages(), each.centres, *each.cells, *each.search, *each.scan, *each.count_faces,
+            each.starts, *each.fill, *each.transfer, *each.links, *each.fill_faces, *self.batch.subcycles.locating(),
+            each.drift, each.clear_stale, *each.near,
         ]  # fmt: skip
 
     def search_on_device(self) -> None:
@@ -257,13 +256,15 @@ class NeighborLists:
             wp.copy(getattr(self._old, name), getattr(self.batch.pairs, name))
         self._before(launches)
         self._find_all(launches)
+        for stage in launches.count_faces:
+            stage()
 
     def complete_on_device(self) -> None:
         """From there on."""
         launches = self._launches(False)
         launches.starts()
         self._fill(launches)
-        for stage in self.batch.subcycles.locating():
+        for stage in (*launches.fill_faces, *self.batch.subcycles.locating()):
             stage()
         self._after(launches)
 
@@ -290,20 +291,12 @@ class NeighborLists:
         if b.parallel and self._searchers == 1 and b.count > 1:  # some of the scenes may have few spheres
             other = self._launches(False, OCTANTS)
             few = [*other.search, *other.fill]
-        order = vars(order_kernels(b.scalar)).values() if b.body_count > 1 else ()
-        moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in self._sorted(struct)}
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
         return [
             each.centres, *each.cells, *each.scan, each.starts, each.drift, each.clear_stale, *few, *each.search,
-            *each.fill, *each.transfer, *each.links, *each.near, *each.faces, *stretch, invert, *order,
-            *(permute_kernel(*kind) for kind in moved),
+            *each.fill, *each.transfer, *each.links, *each.near, *each.count_faces, *each.fill_faces, *stretch,
+            *sorting_kernels(b),
         ]  # fmt: skip
-
-    def _sorted(self, struct: str) -> list[wp.array]:
-        """Arrays of a struct whose rows a re-sorting moves."""
-        names = getattr(self.batch.structs, struct.capitalize()).vars
-        arrays = [getattr(getattr(self.batch, struct), name) for name in names if name not in SORTED[struct]]
-        return [array for array in arrays if array.size]
 
     def _search(self, sort: bool) -> _Launches:
         """Half lists: search chunk by chunk into buffers, once more where one was too short."""
@@ -391,8 +384,8 @@ class NeighborLists:
             search = [b.stage(search_kernel, n * searchers, total=self._total, **finds)]
             fill = [b.stage(fill_kernel, n * searchers, **finds)]
 
-        def starts(start: wp.array, total: wp.array) -> Stage:
-            return b.stage(lists.starts, n + b.count, scanned=self.scanned, start=start, total=total)
+        def starts(scanned: wp.array, start: wp.array, total: wp.array) -> Stage:
+            return b.stage(lists.starts, n + b.count, scanned=scanned, start=start, total=total)
 
         launches = _Launches(
             centres=b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
@@ -404,7 +397,7 @@ class NeighborLists:
             search=search,
             fill=fill,
             scan=scan_stages(self._count, self.scanned),
-            starts=starts(b.pairs.start, self._total),
+            starts=starts(self.scanned, b.pairs.start, self._total),
             transfer=[
                 b.stage(
                     transfer, lanes * tasks(b, last - first), first=first, last=last, old_pairs=self._old,
@@ -425,10 +418,13 @@ class NeighborLists:
             launches.near = near_stages(b)
         if f.meshes:
             count_faces, fill_faces = candidate_kernels(b.scalar)
-            launches.faces = [
-                b.stage(count_faces, n, count=self._count),
-                starts(b.candidates.start, self._face_total),
-                b.stage(fill_faces, n, count=self._count),
+            launches.count_faces = [
+                b.stage(count_faces, n, count=self._face_count),
+                *scan_stages(self._face_count, self.face_scanned),
+            ]
+            launches.fill_faces = [
+                starts(self.face_scanned, b.candidates.start, self._face_total),
+                b.stage(fill_faces, n, count=self._face_count),
             ]
         return launches
 
@@ -440,37 +436,3 @@ class NeighborLists:
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
             raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")
         return wanted, longest
-
-    def _sort(self, due: np.ndarray) -> None:
-        """Re-order bodies along a space-filling curve; notes the old place of each new sphere and the reverse."""
-        b, device, kernels = self.batch, self.batch.device, order_kernels(self.batch.scalar)
-        bodies = b.body_count
-        key = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
-        order = wp.zeros(2 * bodies, dtype=wp.int32, device=device)
-        sort = wp.array(due.astype(np.int32), dtype=wp.int32, device=device)
-        lowest = wp.full((b.count, 3), 2**30, dtype=wp.int32, device=device)
-        launch(kernels.corner, bodies, device, scenes=b.scenes, bodies=b.bodies, lowest=lowest)
-        launch(
-            kernels.keys, bodies, device, scenes=b.scenes, bodies=b.bodies, sort=sort, lowest=lowest, key=key,
-            value=order,
-        )  # fmt: skip
-        wp.utils.radix_sort_pairs(key, order, bodies, end_bit=30 + int(b.count).bit_length())
-        order = order[:bodies]
-        count = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
-        start = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
-        launch(kernels.counts, bodies, device, bodies=b.bodies, order=order, count=count)
-        wp.utils.array_scan(count, start, inclusive=False)
-        launch(
-            kernels.place_spheres, bodies, device, scenes=b.scenes, order=order, old_first=wp.clone(b.bodies.first),
-            new_start=start, bodies=b.bodies, spheres=b.spheres, old_place=self._old_place,
-        )  # fmt: skip
-        launch(invert, b.sphere_count, device, order=self._old_place, inverse=self._new_place)
-        for struct in SORTED:
-            for array in self._sorted(struct):
-                _permute(array, order if struct == "bodies" else self._old_place)
-        b.split()
-
-
-def _permute(array: wp.array, order: wp.array) -> None:
-    kernel = permute_kernel(array.dtype, array.ndim == 2)
-    launch(kernel, array.shape, array.device, source=wp.clone(array), order=order, target=array)

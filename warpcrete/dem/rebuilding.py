@@ -26,15 +26,15 @@ class DeviceRebuild:
         kernels = rebuilding_kernels(b.scalar)
         self.ask = b.stage(kernels.ask, 1, asked=self._asked)
         self.fit = b.stage(
-            kernels.fit, 1, scanned=lists.scanned, room=self.room(), fits=self._fits, built=lists.by_device
-        )
+            kernels.fit, 1, scanned=lists.scanned, room=self.room(), face_scanned=lists.face_scanned,
+            face_room=int(b.face_capacity[0]), fits=self._fits, built=lists.by_device,
+        )  # fmt: skip
 
     @staticmethod
     def possible(batch: Any) -> bool:
         """Of a scene alone, whose cells keep their width."""
-        f = batch.features
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
-        return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not f.growth and not f.meshes and able
+        return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
 
     def room(self) -> int:
         """Entries that lists have room for."""

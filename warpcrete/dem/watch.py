@@ -13,7 +13,7 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 from .state import State
 
-CALM = 0.5
+CALM = 0.8
 """Of the overlap that is watched for, below which no row is expected to pass it."""
 COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
 
