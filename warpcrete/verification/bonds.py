@@ -139,13 +139,13 @@ def breakage(device, precision) -> list[Row]:
         dt = 5e-4 * expected / step
         stepper = start(_pair(bonds, dt=dt, **motion), device, precision)
         stepper.bond(bonds, 1)
-        array = getattr(stepper.state.pairs, f"bond_{kind}")
+        place = component if kind == "force" else 4 + component
         last = 0.0
         for _ in range(2600):
             stepper.take(1)
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
-            last = abs(float(array.numpy()[0, component]))
+            last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
         # Within one step's growth of the load, which is 5e-4 of it; where steps and load commensurate, exactly.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
