@@ -411,7 +411,7 @@ def test_the_device_builds_lists_as_the_host_would(like_a_gpu, monkeypatch, more
     found = {}
     for way in ("device", "no room", "host"):
         if way == "no room":
-            monkeypatch.setattr(rebuilding.DeviceRebuild, "room", lambda self: np.array([100]))
+            monkeypatch.setattr(rebuilding.DeviceRebuild, "room", lambda self: 100)
         elif way == "host":
             monkeypatch.setattr(rebuilding.DeviceRebuild, "possible", lambda batch: False)
         simulation = Simulation(scene, device="cpu")

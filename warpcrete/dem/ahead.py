@@ -44,7 +44,7 @@ class Ahead:
         self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
         self._since_captured = 0
         self.rebuilds_itself = False
-        """A GPU builds lists without the host, but where bodies are to be sorted."""
+        """A GPU builds the lists of its only scene without the host, but where bodies are to be sorted."""
 
     def stepped(self, launched: int) -> None:
         """So many steps were launched."""
@@ -65,8 +65,6 @@ class Ahead:
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NOBODY
         steps, stale = flags[:, int(STEPS)], flags[:, int(STALE)] != 0
-        if self.rebuilds_itself:
-            return np.flatnonzero(stale)
         age = steps - self._built
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
@@ -120,10 +118,9 @@ class Ahead:
         lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
         if self.scenes > 1:
             # Who is not in step with the rest, since it had to wait, comes to its estimate first, and waits for theirs.
-            piece = min(piece, WAIT if self.rebuilds_itself else BATCH_LAUNCH)
+            piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
-            # A device that wants nobody for its lists goes on until a scene gets to its goal.
-            most = max(BATCH_LAUNCH, min(left)) if self.rebuilds_itself else min(BATCH_LAUNCH, lists)
+            most = min(BATCH_LAUNCH, lists)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes

@@ -77,8 +77,8 @@ class NeighborLists:
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
-        self.by_device = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
-        """Those that the device decided on."""
+        self.by_device = wp.zeros(1, dtype=wp.int32, device=batch.device)
+        """Builds that the device decided on, of a scene alone."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -115,7 +115,7 @@ class NeighborLists:
     @property
     def builds(self) -> np.ndarray:
         """Of each scene, since it came to this batch, shape (scenes,)."""
-        return self._builds + self.by_device.numpy()
+        return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
         """Threads for each of so many spheres that are searched for at a time."""
@@ -234,7 +234,7 @@ class NeighborLists:
             for stage in (clear, count, *launches.scan, fill):
                 stage()
 
-    # In a graph: see `rebuilding`.
+    # In a graph, of a scene alone: see `rebuilding`.
 
     def device_stages(self) -> list[Stage]:
         """Stages that a rebuild in a graph launches, on arrays that are there from now on."""
@@ -322,6 +322,7 @@ class NeighborLists:
     def _keep_old(self, scenes: np.ndarray) -> None:
         """Copy of the lists of some scenes, that their new ones take history from."""
         b = self.batch
+        # How many entries a scene alone on a GPU has, its device may know only.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
@@ -338,8 +339,7 @@ class NeighborLists:
                 wp.copy(kept, array)
                 continue
             for s in scenes:
-                # How many entries there are a GPU may know alone.
-                first, count = int(b.rows["pairs"][s]), int((b.capacity if b.parallel else self._entries)[s])
+                first, count = int(b.rows["pairs"][s]), int(self._entries[s])
                 if count:  # else `copy` takes all
                     wp.copy(kept, array, first, first, count)
 

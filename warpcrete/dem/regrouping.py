@@ -14,7 +14,7 @@ from .state import State
 
 PART = 0.5
 """Of a batch's spheres, that scenes which run on have at most when it is made anew."""
-PATIENCE = 10
+PATIENCE = 20
 """Launches in which so few are left before that: what ends soon after is not worth it."""
 ROOM = 0.5
 """Of the memory that is free, that the new batch may take: the old one stays until all is done, and others grow."""
