@@ -403,11 +403,11 @@ def test_the_device_estimates_the_step_as_the_host_would(like_a_gpu, monkeypatch
 
 
 @pytest.mark.parametrize(
-    "more", [dict(wall="mesh"), dict(shapes="shape-1.5"), dict(hydration=0.2, hydration_modulus=1e7)]
+    "more", [dict(wall="mesh"), dict(shapes="shape-1.5", travel=0.02), dict(hydration=0.2, hydration_modulus=1e7)]
 )
 def test_the_device_builds_lists_as_the_host_would(like_a_gpu, monkeypatch, more):
     """And leaves it to the host where there is no room for them."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), **more)
+    scene = scenes.pipe(**SMALL | dict(travel=0.03) | more)
     found = {}
     for way in ("device", "no room", "host"):
         if way == "no room":
@@ -452,7 +452,7 @@ class Rows(Recorder):
 
 def test_rows_are_completed_while_steps_go_on(like_a_gpu, monkeypatch):
     """The same rows, in the same order; where a look for a blockage is due none is left for later."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
     begun, begin = [], ElementSimulation.begin_measure
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
     runs, rows = [], []
@@ -470,7 +470,7 @@ def test_rows_are_completed_while_steps_go_on(like_a_gpu, monkeypatch):
 
 def test_what_a_row_completed_later_complains_of_ends_the_run(like_a_gpu, monkeypatch):
     """And it keeps that row."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
     watched, watch = [], ElementSimulation.watch_row
 
@@ -489,7 +489,7 @@ def test_what_a_row_completed_later_complains_of_ends_the_run(like_a_gpu, monkey
 
 
 def test_an_interrupted_run_completes_the_row_that_it_began(like_a_gpu, monkeypatch):
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), shapes="reference", sample_interval=2e-3)
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
     launched, launch = [], Batch.launch
 
