@@ -16,7 +16,7 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
-from warpcrete.core.run_loop import Recorder, Run
+from warpcrete.core.run_loop import Recorder, Run, _reads_rows_alone
 from warpcrete.dem import rebuilding
 from warpcrete.dem.ahead import WAIT, Ahead
 from warpcrete.dem.batch import Batch
@@ -458,8 +458,8 @@ def test_rows_are_completed_while_steps_go_on(like_a_gpu, monkeypatch):
     runs, rows = [], []
     for later in (True, False):
         recorder = Rows()
-        recorder.rows_alone = later
-        runs.append(Simulation(scene, device="cpu", recorders=[recorder]).run())
+        monkeypatch.setattr(Rows, "rows_alone", later)
+        runs.append(Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run())
         rows.append(recorder.rows)
     assert sum(begun) > 15 and not all(begun) and len(begun) < len(rows[0])
     assert rows[0] == rows[1] and all(time == of_row for time, _, of_row, _ in rows[0])
@@ -503,6 +503,75 @@ def test_an_interrupted_run_completes_the_row_that_it_began(like_a_gpu, monkeypa
     simulation = Simulation(scene, device="cpu")
     run = simulation.run()
     assert run.interrupted and run.series["time"][-1] == launched[-1]
+
+
+class Broken(Rows):
+    """Its last row fails, in a way that nobody foresaw."""
+
+    rows_alone = True
+    finished = False
+
+    def sample(self, simulation, row):
+        super().sample(simulation, row)
+        if simulation.time_is_up:
+            raise ValueError("no such row")
+
+    def finish(self, simulation, run):
+        self.finished = True
+
+
+def test_a_row_that_fails_after_an_interruption_does_not_cost_the_outputs(like_a_gpu, monkeypatch):
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    monkeypatch.setattr(ElementSimulation, "time_is_up", False, raising=False)
+    launch = Batch.launch
+
+    def interrupted(self):
+        if simulation.sampled[0] > 0.005:
+            simulation.time_is_up = True
+            raise KeyboardInterrupt
+        launch(self)
+
+    monkeypatch.setattr(Batch, "launch", interrupted)
+    recorder = Broken()
+    scene = scenes.pipe(**SMALL, sample_interval=1e-3)
+    simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0)
+    with pytest.raises(ValueError, match="no such row"):
+        simulation.run()
+    assert recorder.finished and len(recorder.rows) > 5
+
+
+def test_rows_that_no_step_lies_between_are_all_there(like_a_gpu, monkeypatch):
+    """Samples closer than steps: each has its row, whether it was left for later or not."""
+    scene = dataclasses.replace(scenes.pipe(**SMALL), duration=1e-3, sample_interval=1e-5)
+    rows = []
+    for later in (True, False):
+        recorder = Rows()
+        monkeypatch.setattr(Rows, "rows_alone", later)
+        run = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run()
+        rows.append(recorder.rows)
+        assert len(run.series["time"]) == len(recorder.rows) == 101 and run.result["steps"] < 60
+    assert rows[0] == rows[1]
+
+
+def test_a_recorder_that_reads_the_state_is_not_left_for_later():
+    """Though the class that it is made of reads rows alone."""
+
+    class Reading(Rows):
+        def sample(self, simulation, row):
+            super().sample(simulation, row)
+
+    assert _reads_rows_alone(Recorder) and _reads_rows_alone(Rows) and not _reads_rows_alone(Reading)
+
+
+def test_a_device_has_cells_for_a_scene_that_came_with_its_lists(like_a_gpu, tmp_path):
+    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
+    simulation.prepare()
+    simulation.stepper.take(5)
+    simulation.save(tmp_path / "a.npz")
+    other = Simulation(scenes.pipe(**SMALL), device="cpu")
+    other.resume(tmp_path / "a.npz")
+    other.stepper.take(1)
+    assert other.stepper.batch.ahead.rebuilds_itself and other.stepper.lists._cells._dims.prod() > 30
 
 
 def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):

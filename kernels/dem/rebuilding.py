@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import FAILED, STALE, STEPS
+from ..common.control import FAILED, OVERFLOW, STALE, STEPS
 from .structs import array_structs
 
 
@@ -19,7 +19,8 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
         sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # which takes the host
-        asked[0] = wp.where(flags[0, STALE] != 0 and flags[0, FAILED] == 0 and not sorts, 1, 0)
+        fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
+        asked[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
 
     @wp.kernel(module="unique", enable_backward=False)
     def fit(

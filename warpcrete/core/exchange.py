@@ -34,8 +34,8 @@ class Exchange:
         return [view.copy() for _, view in beside]
 
     def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
-        """Begin a read beside all others; what is returned waits for the copies, as the arrays are now. One read of an
-        array is begun at a time."""
+        """Begin a read beside all others; what is returned waits for the copies, as the arrays are now. Before values
+        change, and are read again, it must have been called."""
         if not self.device.is_cuda:
             copies = [array.numpy().copy() for array in arrays]
             return lambda: copies

@@ -9,7 +9,6 @@ import time as wall_clock
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -19,7 +18,7 @@ import numpy as np
 from . import checkpoint
 from .device import checked_threads, find_device, scalar_of
 from .display import Display
-from .errors import RunFolderError, WarpcreteError, between, refuse
+from .errors import InstabilityError, RunFolderError, WarpcreteError, between, refuse
 from .frames import Frames
 from .launching import telling
 from .progress import ProgressBar
@@ -50,7 +49,8 @@ class Recorder:
     """
 
     rows_alone: ClassVar[bool] = False
-    """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since."""
+    """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
+    class that defines `sample` says so."""
 
     def start(self, simulation: Any) -> None:
         """The run is about to begin."""
@@ -156,7 +156,7 @@ class Simulation:
         self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
         self._samples = 0  # rows after the one at t = 0
         self.sampled = 0.0, 0
-        """Time [s] and steps of the last row."""
+        """Time [s] and steps of the last row, since this object began."""
         self._left: float | None = None  # fraction done at a row that is completed when further steps are under way
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
@@ -304,13 +304,20 @@ class Simulation:
             except KeyboardInterrupt:
                 interrupted = True
         finally:
-            with suppress(WarpcreteError):  # the run has ended already, for another reason
+            failures: list[Exception] = []
+            try:
                 self._complete()
+            except KeyboardInterrupt:
+                interrupted = True
+            except InstabilityError:  # the run has ended already, for another reason
+                pass
+            except Exception as error:
+                failures.append(error)
             self._spent["running"] = self._running()
             self.finishing = True
             run = self.result(finished)
             run.interrupted = interrupted
-            failures = []
+            run.finished = run.result["finished"] = run.finished and not failures
             for recorder in reversed(begun):
                 try:
                     recorder.finish(self, run)
@@ -348,6 +355,7 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
+            self._complete()  # where no step had to be taken
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
             if number < samples and self._goes_on():
                 self._left = number / samples
@@ -369,7 +377,7 @@ class Simulation:
         now. Begins the sample then."""
         return (
             not self.stop_requested
-            and all(r.rows_alone or type(r).sample is Recorder.sample for r in self.recorders)
+            and all(_reads_rows_alone(type(recorder)) for recorder in self.recorders)
             and not (self.recorders and self.frames.due(self.sampled[0]))
             and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
             and self.begin_measure()
@@ -431,6 +439,12 @@ def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
                 goal = next(coroutine)
     except StopIteration as end:
         return end.value
+
+
+def _reads_rows_alone(kind: type[Recorder]) -> bool:
+    """Whether recorders of a class do; the class that has their `sample` says so."""
+    owner = next(each for each in kind.__mro__ if "sample" in vars(each))
+    return owner is Recorder or bool(vars(owner).get("rows_alone", False))
 
 
 def _kind(recorder: Recorder) -> str:

@@ -44,7 +44,8 @@ class Ahead:
         self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
         self._since_captured = 0
         self.rebuilds_itself = False
-        """A GPU builds the lists of its only scene without the host, but where bodies are to be sorted."""
+        """A GPU builds the lists of its only scene without the host, but where bodies are to be sorted or there is no
+        room."""
 
     def stepped(self, launched: int) -> None:
         """So many steps were launched."""
@@ -91,7 +92,8 @@ class Ahead:
         self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
 
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
-        """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it.
+        """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it,
+        and looks after lists that it builds itself.
 
         `flags`, `clock` and `rows` are those of all scenes.
         """
@@ -127,9 +129,12 @@ class Ahead:
         # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
         if self.rebuilds_itself:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
-            count, piece = min(count, every - slots[0][int(STEPS)] % every), min(piece, WAIT)
+            count = min(count, every - slots[0][int(STEPS)] % every)
         else:
             count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
-        first = min(count, estimates[0], piece)
+        first = min(count, estimates[0])
         whole, rest = divmod(count - first, piece)
-        return [first, *[piece] * whole, *([rest] if rest else [])]
+        sizes = [first, *[piece] * whole, *([rest] if rest else [])]
+        if not self.rebuilds_itself:
+            return sizes
+        return [min(WAIT, size - done) for size in sizes for done in range(0, size, WAIT)]

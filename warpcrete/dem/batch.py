@@ -118,7 +118,7 @@ class Batch(JointArrays):
         self._launcher.invalidate_graphs()
         self.ahead.captured()
         self.version += 1
-        self._step = None
+        self._step = self._rebuild = self._between = None
         self._sync = None
         self._wall_reading = None
 

@@ -10,6 +10,7 @@ from ..kernels.dem.bonding import bond_kernels
 from ..kernels.dem.motion import sync_kernel
 from .batch import Batch
 from .neighbors import NeighborLists
+from .rebuilding import DeviceRebuild
 from .stable_step import StableStep
 from .stages import step_stages
 
@@ -19,7 +20,9 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
     batch = lists.batch
     if batch.sphere_count:
         steps = [stage for part in step_stages(batch) for stage in part]
-        load([*steps, *lists.kernels(), *estimate.kernels(), *_others(batch), *batch.subcycles.kernels()], batch.device)
+        rebuild = DeviceRebuild(lists).stages() if DeviceRebuild.possible(batch) else []
+        others = [*_others(batch), *batch.subcycles.kernels(), *rebuild]
+        load([*steps, *lists.kernels(), *estimate.kernels(), *others], batch.device)
 
 
 def _others(batch: Batch) -> list[Any]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from ..core.launching import Stage
 from ..kernels.dem.rebuilding import rebuilding_kernels
 
 if TYPE_CHECKING:
@@ -40,9 +41,13 @@ class DeviceRebuild:
         """Entries that lists have room for."""
         return int(self.lists.batch.capacity[0])
 
+    def stages(self) -> list[Stage]:
+        """Stages of its own."""
+        return [self.ask, self.fit]
+
     def record(self) -> None:
         """Make ready, kernels loaded; nothing runs."""
-        for stage in (*self._stages, self.ask, self.fit):
+        for stage in (*self._stages, *self.stages()):
             stage.record()
 
     def __call__(self) -> None:

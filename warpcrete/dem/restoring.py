@@ -56,7 +56,7 @@ def state_hash(state: State) -> str:
     """SHA-256 of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
 
     Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory, and
-    whatever their lists hold of pairs that are apart.
+    whatever their lists hold of pairs that are apart, or of bonds that are broken for good.
     """
     digest = hashlib.sha256()
     features = state.model.features

@@ -14,7 +14,7 @@ from .sampling import STORED
 from .state import State
 
 CALM = 0.8
-"""Of the overlap that is watched for, below which no row is expected to pass it."""
+"""Of what is watched for, below which no row is expected to pass it."""
 COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
 
 
@@ -43,8 +43,15 @@ class Watch:
         self.least, self.scale = state["least"], state["scale"]
 
     def is_calm(self, row: dict[str, float]) -> bool:
-        """Whether after such a row the next will hardly raise anything."""
-        return self.limits.overlap is None or row["deepest_overlap"] < CALM * self.limits.overlap
+        """Whether after such a row, which it has seen, the next will hardly raise anything."""
+        limits = self.limits
+        calm = limits.overlap is None or row["deepest_overlap"] < CALM * limits.overlap
+        calm = calm and self._resolution(row) < CALM * COARSEST
+        return calm and (limits.energy is None or _free(row) - self.least < CALM * limits.energy * self.scale)
+
+    def _resolution(self, row: dict[str, float]) -> float:
+        """To what part of the smallest sphere's radius positions are rounded."""
+        return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
 
     def __call__(self, row: dict[str, float]) -> None:
         """Raises :class:`InstabilityError` naming time, body, quantity and cures."""
@@ -62,7 +69,7 @@ class Watch:
                 "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
                 "(overlap_limit of the scene pipe)",
             )
-        resolution = self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
+        resolution = self._resolution(row)
         if resolution > COARSEST:
             raise unstable(
                 time,
@@ -71,9 +78,7 @@ class Watch:
                 "sphere's radius",
                 "precision float64, or the scene nearer to the origin",
             )
-        stored = sum(row[name] for name in STORED)
-        work = row["wall_work"] + row["drive_work"]
-        free = stored - work
+        work, free = row["wall_work"] + row["drive_work"], _free(row)
         moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
         self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)
@@ -84,6 +89,11 @@ class Watch:
                 f"energy grew by {free - self.least:.3g} J that no wall or drive put in, "
                 f"{(free - self.least) / self.scale:.2g} of all there is (watch.energy = {limits.energy:g})",
             )
+
+
+def _free(row: dict[str, float]) -> float:
+    """Energy that is stored, less what walls and drives put in [J]."""
+    return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])
 
 
 def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
