@@ -241,6 +241,14 @@ class Batch(JointArrays):
         self.ahead.stepped(sum(pieces))
         self.exchange.ask(self.flags, self.scenes.clock)
 
+    def rebuild(self) -> None:
+        """Have a GPU that builds lists by itself build them, as it does between steps."""
+        assert self._rebuild is not None
+        self.outdate(range(self.count))
+        self.device_changed()
+        self._rebuild()
+        self.device_changed()
+
     @property
     def settled(self) -> bool:
         """Whether all that was launched is done."""

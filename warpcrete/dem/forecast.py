@@ -155,11 +155,13 @@ class _Copy:
             self.contacts, self.memory = 0, {}
             self._built = 0.0
             return
-        self.build = median_time(stepper.rebuild, self.device)
+        stepper.advance(stepper.time + 2 * stepper.dt)
+        batch = stepper.batch
+        self.build = median_time(batch.rebuild if batch.ahead.rebuilds_itself else stepper.rebuild, self.device)
         self.sample = median_time(simulation.measure, self.device)
-        begun_builds, first = int(stepper.lists.built_by_host[stepper.index]), stepper.steps
+        begun_builds, first = int(stepper.lists.builds[stepper.index]), stepper.steps
         self.step = self.step_time()
-        self._built = (int(stepper.lists.built_by_host[stepper.index]) - begun_builds) / max(stepper.steps - first, 1)
+        self._built = (int(stepper.lists.builds[stepper.index]) - begun_builds) / max(stepper.steps - first, 1)
         self.contacts = round(simulation.rows[-1].get("contacts", 0.0))
         self.memory = _memory(simulation)
 
@@ -173,11 +175,11 @@ class _Copy:
         rates = []
         while spent < SPENT:
             wp.synchronize_device(self.device)
-            begun, before, built = time.perf_counter(), stepper.steps, int(stepper.lists.built_by_host[stepper.index])
+            begun, before, built = time.perf_counter(), stepper.steps, int(stepper.lists.builds[stepper.index])
             stepper.advance(stepper.time + count * stepper.dt)
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
-            built = int(stepper.lists.built_by_host[stepper.index]) - built
+            built = int(stepper.lists.builds[stepper.index]) - built
             # While other programs run, builds may have been timed as longer than steps and builds together are.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
@@ -192,9 +194,9 @@ class _Copy:
         return self.step_time()
 
     def builds(self, steps: float) -> float:
-        """List builds of the whole run, but those that steps hold."""
+        """List builds of the whole run."""
         pipe, skin = self.scene.pipe, self.stepper.skin
-        if pipe is None or self.stepper.batch.ahead.rebuilds_itself:
+        if pipe is None:
             return self._built * steps
         straight = len(pipe.axis.pieces) == 1 and not hasattr(pipe.axis.pieces[0], "angle")
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)

@@ -113,13 +113,8 @@ class NeighborLists:
         self._version: tuple[int, ...] = ()
 
     @property
-    def built_by_host(self) -> np.ndarray:
-        """Builds of each scene that the host did, since it came to this batch, shape (scenes,)."""
-        return self._builds.copy()
-
-    @property
     def builds(self) -> np.ndarray:
-        """All builds of each scene, likewise."""
+        """Of each scene, since it came to this batch, shape (scenes,)."""
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
@@ -241,11 +236,14 @@ class NeighborLists:
 
     # In a graph, of a scene alone: see `rebuilding`.
 
-    def device_stages(self) -> list[Stage]:
-        """Stages that a rebuild in a graph launches, on arrays that are there from now on."""
-        width = self._cells.width()  # of a scene that came with its lists
+    def lay_out_cells(self) -> None:
+        """Have cells for scenes that came with their lists, of which the host has built none."""
+        width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
+
+    def device_stages(self) -> list[Stage]:
+        """Stages that a rebuild in a graph launches, on arrays that are there from now on."""
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
         each = self._launches(False)

@@ -166,7 +166,10 @@ class _Drive:
         batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
         if not batch.parallel:
             return None, None
-        rebuild = [DeviceRebuild(stepper.lists)] if batch.ahead.rebuilds_itself else []
+        rebuild = []
+        if batch.ahead.rebuilds_itself:
+            stepper.lists.lay_out_cells()
+            rebuild = [DeviceRebuild(stepper.lists)]
         return at_once(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
 
     def _look(self) -> None:
