@@ -16,16 +16,14 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
-from warpcrete.core.run_loop import Recorder, Run, _reads_rows_alone
-from warpcrete.dem import rebuilding
-from warpcrete.dem.ahead import WAIT, Ahead
+from warpcrete.core.run_loop import Run
+from warpcrete.dem.ahead import Ahead
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import contact_sums
 from warpcrete.dem.scene import TimeStep
-from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.dem.stable_step import StableStep
 from warpcrete.dem.stages import step_stages as element_stages
 from warpcrete.dem.state import State
@@ -400,178 +398,6 @@ def test_the_device_estimates_the_step_as_the_host_would(like_a_gpu, monkeypatch
     assert np.array_equal(by_device.series["time_step"], by_host.series["time_step"])
     assert len(np.unique(by_device.series["time_step"])) > 3
     assert len(asked) - 2 * few > 5  # what the device took over
-
-
-@pytest.mark.parametrize(
-    "more", [dict(wall="mesh"), dict(shapes="shape-1.5", travel=0.02), dict(hydration=0.2, hydration_modulus=1e7)]
-)
-def test_the_device_builds_lists_as_the_host_would(like_a_gpu, monkeypatch, more):
-    """And leaves it to the host where there is no room for them."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03) | more)
-    found = {}
-    for way in ("device", "no room", "host"):
-        if way == "no room":
-            monkeypatch.setattr(rebuilding.DeviceRebuild, "room", lambda self: 100)
-        elif way == "host":
-            monkeypatch.setattr(rebuilding.DeviceRebuild, "possible", lambda batch: False)
-        simulation = Simulation(scene, device="cpu")
-        hash = simulation.run().result["state_hash"]
-        lists = simulation.stepper.lists
-        found[way] = hash, int(lists.by_device.numpy()[0]), int(lists.builds[0]) - int(lists.by_device.numpy()[0])
-    (one, by_device, by_host), (other, none, without_room), (third, never, by_host_alone) = found.values()
-    assert one == other == third
-    assert by_device > 2 and none == never == 0
-    assert by_host + by_device >= by_host_alone and without_room > by_host + 1
-
-
-def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists(like_a_gpu):
-    """Without estimates it looks after them every twenty steps."""
-    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
-    simulation.prepare()
-    stepper = simulation.stepper
-    launched, launch = [], stepper.batch.ahead.pieces
-    stepper.batch.ahead.pieces = lambda *now: launched.append(launch(*now)) or launched[-1]
-    before = int(stepper.lists.by_device.numpy()[0])
-    stepper.choose_dt()
-    stepper.take(500)
-    assert int(stepper.lists.by_device.numpy()[0]) > before + 1
-    assert all(max(pieces) <= WAIT for pieces in launched) and len(launched) < 4
-
-
-class Rows(Recorder):
-    """Keeps each row with where the run was then."""
-
-    rows_alone = True
-
-    def __init__(self):
-        self.rows = []
-
-    def sample(self, simulation, row):
-        self.rows.append((*simulation.sampled, row["time"], row["pressure"]))
-
-
-def test_rows_are_completed_while_steps_go_on(like_a_gpu, monkeypatch):
-    """The same rows, in the same order; where a look for a blockage is due none is left for later."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
-    begun, begin = [], ElementSimulation.begin_measure
-    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
-    runs, rows = [], []
-    for later in (True, False):
-        recorder = Rows()
-        monkeypatch.setattr(Rows, "rows_alone", later)
-        runs.append(Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run())
-        rows.append(recorder.rows)
-    assert sum(begun) > 15 and not all(begun) and len(begun) < len(rows[0])
-    assert rows[0] == rows[1] and all(time == of_row for time, _, of_row, _ in rows[0])
-    assert runs[0].result["state_hash"] == runs[1].result["state_hash"]
-    for name in runs[1].series:
-        assert np.array_equal(runs[0].series[name], runs[1].series[name], equal_nan=True), name
-
-
-def test_what_a_row_completed_later_complains_of_ends_the_run(like_a_gpu, monkeypatch):
-    """And it keeps that row."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
-    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
-    watched, watch = [], ElementSimulation.watch_row
-
-    def complain(self, row):
-        watch(self, row)
-        watched.append(row["time"])
-        if len(watched) == 7:
-            raise InstabilityError("enough")
-
-    monkeypatch.setattr(ElementSimulation, "watch_row", complain)
-    simulation = Simulation(scene, device="cpu")
-    with pytest.raises(InstabilityError, match="enough"):
-        simulation.run()
-    assert [row["time"] for row in simulation.rows] == watched
-    assert simulation.stepper.time > watched[-1]
-
-
-def test_an_interrupted_run_completes_the_row_that_it_began(like_a_gpu, monkeypatch):
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
-    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
-    launched, launch = [], Batch.launch
-
-    def interrupted(self):
-        launched.append(simulation.sampled[0] if simulation.__dict__.get("sampler") else 0.0)
-        if launched[-1] > 0.01:
-            raise KeyboardInterrupt
-        launch(self)
-
-    monkeypatch.setattr(Batch, "launch", interrupted)
-    simulation = Simulation(scene, device="cpu")
-    run = simulation.run()
-    assert run.interrupted and run.series["time"][-1] == launched[-1]
-
-
-class Broken(Rows):
-    """Its last row fails, in a way that nobody foresaw."""
-
-    rows_alone = True
-    finished = False
-
-    def sample(self, simulation, row):
-        super().sample(simulation, row)
-        if simulation.time_is_up:
-            raise ValueError("no such row")
-
-    def finish(self, simulation, run):
-        self.finished = True
-
-
-def test_a_row_that_fails_after_an_interruption_does_not_cost_the_outputs(like_a_gpu, monkeypatch):
-    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
-    monkeypatch.setattr(ElementSimulation, "time_is_up", False, raising=False)
-    launch = Batch.launch
-
-    def interrupted(self):
-        if simulation.sampled[0] > 0.005:
-            simulation.time_is_up = True
-            raise KeyboardInterrupt
-        launch(self)
-
-    monkeypatch.setattr(Batch, "launch", interrupted)
-    recorder = Broken()
-    scene = scenes.pipe(**SMALL, sample_interval=1e-3)
-    simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0)
-    with pytest.raises(ValueError, match="no such row"):
-        simulation.run()
-    assert recorder.finished and len(recorder.rows) > 5
-
-
-def test_rows_that_no_step_lies_between_are_all_there(like_a_gpu, monkeypatch):
-    """Samples closer than steps: each has its row, whether it was left for later or not."""
-    scene = dataclasses.replace(scenes.pipe(**SMALL), duration=1e-3, sample_interval=1e-5)
-    rows = []
-    for later in (True, False):
-        recorder = Rows()
-        monkeypatch.setattr(Rows, "rows_alone", later)
-        run = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run()
-        rows.append(recorder.rows)
-        assert len(run.series["time"]) == len(recorder.rows) == 101 and run.result["steps"] < 60
-    assert rows[0] == rows[1]
-
-
-def test_a_recorder_that_reads_the_state_is_not_left_for_later():
-    """Though the class that it is made of reads rows alone."""
-
-    class Reading(Rows):
-        def sample(self, simulation, row):
-            super().sample(simulation, row)
-
-    assert _reads_rows_alone(Recorder) and _reads_rows_alone(Rows) and not _reads_rows_alone(Reading)
-
-
-def test_a_device_has_cells_for_a_scene_that_came_with_its_lists(like_a_gpu, tmp_path):
-    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
-    simulation.prepare()
-    simulation.stepper.take(5)
-    simulation.save(tmp_path / "a.npz")
-    other = Simulation(scenes.pipe(**SMALL), device="cpu")
-    other.resume(tmp_path / "a.npz")
-    other.stepper.take(1)
-    assert other.stepper.batch.ahead.rebuilds_itself and other.stepper.lists._cells._dims.prod() > 30
 
 
 def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):

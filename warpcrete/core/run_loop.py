@@ -397,12 +397,8 @@ class Simulation:
         return row
 
     def _tell_of(self, row: dict[str, float], fraction: float) -> None:
-        self.tell(
-            "running",
-            fraction,
-            steps_per_s=self.sampled[1] / max(self._running(), 1e-9),
-            **({"pressure": row["pressure"]} if "pressure" in row else {}),
-        )
+        pressure = {name: row[name] for name in ("pressure",) if name in row}
+        self.tell("running", fraction, steps_per_s=self.sampled[1] / max(self._running(), 1e-9), **pressure)
 
     def _frame(self) -> None:
         for recorder in self.recorders:

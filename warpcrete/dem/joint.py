@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -87,9 +88,9 @@ class JointArrays:
         self._place_pairs()
         self.links = make_links(self)
 
+    @abstractmethod
     def invalidate_graphs(self) -> None:
         """Arrays have become others: whoever launches kernels on them must know."""
-        raise NotImplementedError
 
     def _join_states(self) -> None:
         """Joint arrays; those of the states become slices of them. What only a batch has begins as zero."""

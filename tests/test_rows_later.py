@@ -1,0 +1,150 @@
+"""Rows of the series that are completed while a GPU takes the next steps, as far as a CPU can do it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.device import share_out_like_a_gpu
+from warpcrete.core.errors import InstabilityError
+from warpcrete.core.run_loop import Recorder, _reads_rows_alone
+from warpcrete.dem.batch import Batch
+from warpcrete.dem.simulation import ElementSimulation
+
+pytestmark = pytest.mark.thorough
+
+SMALL = dict(
+    length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
+)
+
+
+@pytest.fixture(autouse=True)
+def like_a_gpu():
+    with share_out_like_a_gpu():
+        yield
+
+
+class Rows(Recorder):
+    """Keeps each row with where the run was then."""
+
+    rows_alone = True
+
+    def __init__(self):
+        self.rows = []
+
+    def sample(self, simulation, row):
+        self.rows.append((*simulation.sampled, row["time"], row["pressure"]))
+
+
+def test_rows_are_completed_while_steps_go_on(monkeypatch):
+    """The same rows, in the same order; where a look for a blockage is due none is left for later."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    begun, begin = [], ElementSimulation.begin_measure
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
+    runs, rows = [], []
+    for later in (True, False):
+        recorder = Rows()
+        monkeypatch.setattr(Rows, "rows_alone", later)
+        runs.append(Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run())
+        rows.append(recorder.rows)
+    assert sum(begun) > 15 and not all(begun) and len(begun) < len(rows[0])
+    assert rows[0] == rows[1] and all(time == of_row for time, _, of_row, _ in rows[0])
+    assert runs[0].result["state_hash"] == runs[1].result["state_hash"]
+    for name in runs[1].series:
+        assert np.array_equal(runs[0].series[name], runs[1].series[name], equal_nan=True), name
+
+
+def test_what_a_row_completed_later_complains_of_ends_the_run(monkeypatch):
+    """And it keeps that row."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    watched, watch = [], ElementSimulation.watch_row
+
+    def complain(self, row):
+        watch(self, row)
+        watched.append(row["time"])
+        if len(watched) == 7:
+            raise InstabilityError("enough")
+
+    monkeypatch.setattr(ElementSimulation, "watch_row", complain)
+    simulation = Simulation(scene, device="cpu")
+    with pytest.raises(InstabilityError, match="enough"):
+        simulation.run()
+    assert [row["time"] for row in simulation.rows] == watched
+    assert simulation.stepper.time > watched[-1]
+
+
+def test_an_interrupted_run_completes_the_row_that_it_began(monkeypatch):
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    launched, launch = [], Batch.launch
+
+    def interrupted(self):
+        launched.append(simulation.sampled[0] if simulation.__dict__.get("sampler") else 0.0)
+        if launched[-1] > 0.01:
+            raise KeyboardInterrupt
+        launch(self)
+
+    monkeypatch.setattr(Batch, "launch", interrupted)
+    simulation = Simulation(scene, device="cpu")
+    run = simulation.run()
+    assert run.interrupted and run.series["time"][-1] == launched[-1]
+
+
+class Broken(Rows):
+    """Its last row fails, in a way that nobody foresaw."""
+
+    rows_alone = True
+    finished = False
+
+    def sample(self, simulation, row):
+        super().sample(simulation, row)
+        if simulation.time_is_up:
+            raise ValueError("no such row")
+
+    def finish(self, simulation, run):
+        self.finished = True
+
+
+def test_a_row_that_fails_after_an_interruption_does_not_cost_the_outputs(monkeypatch):
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+    monkeypatch.setattr(ElementSimulation, "time_is_up", False, raising=False)
+    launch = Batch.launch
+
+    def interrupted(self):
+        if simulation.sampled[0] > 0.005:
+            simulation.time_is_up = True
+            raise KeyboardInterrupt
+        launch(self)
+
+    monkeypatch.setattr(Batch, "launch", interrupted)
+    recorder = Broken()
+    scene = scenes.pipe(**SMALL, sample_interval=1e-3)
+    simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0)
+    with pytest.raises(ValueError, match="no such row"):
+        simulation.run()
+    assert recorder.finished and len(recorder.rows) > 5
+
+
+def test_rows_that_no_step_lies_between_are_all_there(monkeypatch):
+    """Samples closer than steps: each has its row, whether it was left for later or not."""
+    scene = dataclasses.replace(scenes.pipe(**SMALL), duration=1e-3, sample_interval=1e-5)
+    rows = []
+    for later in (True, False):
+        recorder = Rows()
+        monkeypatch.setattr(Rows, "rows_alone", later)
+        run = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0).run()
+        rows.append(recorder.rows)
+        assert len(run.series["time"]) == len(recorder.rows) == 101 and run.result["steps"] < 60
+    assert rows[0] == rows[1]
+
+
+def test_a_recorder_that_reads_the_state_is_not_left_for_later():
+    """Though the class that it is made of reads rows alone."""
+
+    class Reading(Rows):
+        def sample(self, simulation, row):
+            super().sample(simulation, row)
+
+    assert _reads_rows_alone(Recorder) and _reads_rows_alone(Rows) and not _reads_rows_alone(Reading)
