@@ -10,6 +10,7 @@ from source_hash import RECORD, source_hash
 
 from warpcrete.core.device import find_device, quiet_init
 from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.bonding import bond_kinds, bond_rows
 from warpcrete.dem.model import build_model
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
@@ -53,6 +54,12 @@ def start(device):
     return make
 
 
+def bonds_of(state) -> tuple[np.ndarray, np.ndarray]:
+    """Of every entry of the list the kind of its bond, or what it is instead, and its load, 0 where there is none."""
+    bond, load = state.pairs.bond.numpy(), state.pairs.load.numpy()
+    return bond_kinds(bond), np.where(bond[:, None] > 0, load[bond_rows(np.maximum(bond, 0))], 0).astype(load.dtype)
+
+
 def pair_history(state) -> dict:
     """Contact history by permanent sphere numbers (low, high): shear (with friction), bond kind, force, moment."""
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()
@@ -60,7 +67,7 @@ def pair_history(state) -> dict:
     features = state.model.features
     arrays = [state.pairs.history.numpy()] if features.history else []
     if features.bonds:
-        arrays += [a.numpy() for a in (state.pairs.bond, state.pairs.load)]
+        arrays += bonds_of(state)
     result = {}
     for i in range(state.sphere_count):
         for k in range(start[i], start[i + 1]):

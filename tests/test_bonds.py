@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import by_id, pair_history
+from conftest import bonds_of, by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
@@ -135,7 +135,7 @@ def test_healing_bonds_at_first_touch_only_where_asked_for(start):
         stepper.advance(0.02)
         distance = np.linalg.norm(np.diff(by_id(stepper.state, "position"), axis=0))
         if healing:
-            assert stepper.state.pairs.bond.numpy()[0] == 1 and distance < 2 * RADIUS + 2e-4
+            assert bonds_of(stepper.state)[0][0] == 1 and distance < 2 * RADIUS + 2e-4
         else:
             assert distance > 2 * RADIUS + 1e-4
 

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import by_id
+from conftest import bonds_of, by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
 from warpcrete import SceneError, Simulation, WarpcreteError, scenes
@@ -129,10 +129,11 @@ def test_healed_bonds_start_without_the_loads_of_settling(device):
     simulation = Simulation(scenes.pipe(healing=True, cohesion=1e9, **small), device=device)
     simulation.prepare()
     state = simulation.state
-    made = state.pairs.bond.numpy() == 1
-    assert made.sum() > 50 and np.all(state.pairs.load.numpy()[made] == 0)
+    kinds, loads = bonds_of(state)
+    assert np.sum(kinds == 1) > 50 and np.all(loads[kinds == 1] == 0)
     simulation.stepper.advance(0.005)
-    assert np.abs(state.pairs.load.numpy()[state.pairs.bond.numpy() == 1]).max() > 0
+    kinds, loads = bonds_of(state)
+    assert np.abs(loads[kinds == 1]).max() > 0
 
 
 def test_one_size_is_a_distribution():

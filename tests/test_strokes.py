@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import bonds_of
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
@@ -128,7 +129,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
     def bonds():
         i, j, entry = listed_pairs(simulation.state)
         ids = simulation.state.spheres.id.numpy()
-        kind, force = simulation.state.pairs.bond.numpy()[entry], simulation.state.pairs.load.numpy()[entry]
+        kind, force = (each[entry] for each in bonds_of(simulation.state))
         place = simulation.state.spheres.position.numpy()
         gap = np.linalg.norm(place[i, :3] - place[j, :3], axis=1) - place[i, 3] - place[j, 3]
         return {(min(a, b), max(a, b)): (k, tuple(f), g) for a, b, k, f, g in zip(ids[i], ids[j], kind, force, gap)}

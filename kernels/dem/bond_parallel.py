@@ -15,6 +15,29 @@ BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
 HYDRATED = wp.constant(2)  # that of hydrated contacts; 1 is that of the others
 
+# Above the kind stands the row of the bond's load among those of its scene: few of the pairs of a list are bonded.
+KIND_BITS = wp.constant(4)
+MOST_KINDS = 2 ** int(KIND_BITS) - 1
+MOST_ROWS = 2 ** (31 - int(KIND_BITS))
+
+
+@wp.func
+def kind_of(bond: wp.int32):
+    """Kind of a pair's bond, or what its state is instead."""
+    return wp.where(bond > 0, bond & wp.static(MOST_KINDS), bond)
+
+
+@wp.func
+def load_row(bond: wp.int32):
+    """Row of its load, from the scene's first."""
+    return bond >> KIND_BITS
+
+
+@wp.func
+def bond_with(kind: wp.int32, row: wp.int32):
+    """State of a pair with a bond of a kind, whose load stands in a row."""
+    return kind | (row << KIND_BITS)
+
 
 @functools.cache
 def bond_functions(scalar):

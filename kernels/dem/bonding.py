@@ -5,6 +5,7 @@ import functools
 import warp as wp
 
 from ..common.types import types, vector_functions
+from .bond_parallel import bond_with, kind_of, load_row
 from .pairs import decode
 from .structs import array_structs
 
@@ -23,6 +24,7 @@ def bond_kernels(scalar):
     @wp.kernel(module="unique", enable_backward=False)
     def make(
         kind: wp.int32,
+        healing: wp.bool,
         gap: scalar,
         group: wp.int32,
         # state, read
@@ -31,7 +33,8 @@ def bond_kernels(scalar):
         # state, read and written
         pairs: Pairs,
     ):
-        """Bonds, without load, pairs not bonded yet; with a `group` only pairs inside it, else (-1) any."""
+        """Bonds pairs not bonded yet; with a `group` only pairs inside it, else (-1) any. Where contacts heal, each
+        entry has a row for the load, which is cleared; elsewhere bonds are given theirs later."""
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
             j = decode(pairs.other[k])
@@ -40,7 +43,9 @@ def bond_kernels(scalar):
                 reach = spheres.position[i][3] + spheres.position[j][3] + gap
                 if wp.length_sq(xyz(spheres.position[j]) - xyz(spheres.position[i])) <= reach * reach:
                     pairs.bond[k] = kind
-                    pairs.load[k] = vec8()
+                    if healing:
+                        pairs.bond[k] = bond_with(kind, k)
+                        pairs.load[k] = vec8()
 
     @wp.kernel(module="unique", enable_backward=False)
     def reassign(
@@ -56,12 +61,12 @@ def bond_kernels(scalar):
         """The draw depends on seed and permanent numbers only: the same on every device and in any order."""
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
-            if pairs.bond[k] == old_kind:
+            if kind_of(pairs.bond[k]) == old_kind:
                 a = spheres.id[i]
                 b = spheres.id[decode(pairs.other[k])]
                 random = wp.rand_init(wp.int32(seed), wp.min(a, b))
                 random = wp.rand_init(wp.int32(random), wp.max(a, b))
                 if wp.float64(wp.randf(random)) < fraction:
-                    pairs.bond[k] = new_kind
+                    pairs.bond[k] = bond_with(new_kind, load_row(pairs.bond[k]))
 
     return make, reassign

@@ -90,8 +90,8 @@ def contact_kernel(
                 k = block + lowest_bit(bits)
                 bits = bits & (bits - 1)
                 gather(
-                    spheres, pairs, bond_parameters, scenes.row[s].bonds, row, base, i, k, position_i, velocity_i,
-                    spin_i, columns, ints, count,
+                    spheres, pairs, bond_parameters, scenes.row[s].bonds, scenes.row[s].loads, row, base, i, k,
+                    position_i, velocity_i, spin_i, columns, ints, count,
                 )  # fmt: skip
                 used_row = row + material
                 used_dt = dt

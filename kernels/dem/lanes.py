@@ -16,7 +16,7 @@ import warp as wp
 
 from ..common.rows import row_functions
 from ..common.types import types, vector_functions
-from .bond_parallel import UNBONDED, bond_functions
+from .bond_parallel import UNBONDED, bond_functions, bond_with, kind_of, load_row
 from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
@@ -94,7 +94,7 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
     for name, width in numbers.items():
         begins[name] = end
         end += width * int(LANES)
-    integers = {name: k * int(LANES) for k, name in enumerate(("i", "j", "k", "law", "bond"))}
+    integers = {name: k * int(LANES) for k, name in enumerate(("i", "j", "k", "law", "bond", "load"))}
     return SimpleNamespace(numbers=begins, size=end, integers=integers, integer_size=len(integers) * int(LANES))
 
 
@@ -118,9 +118,9 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
 
     @wp.func
     def gather(
-        spheres: Spheres, pairs: Pairs, bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32, row: wp.int32,
-        base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4, velocity_i: t.vec4, spin_i: t.vec3,
-        columns: Columns, ints: Ints, lane: wp.int32,
+        spheres: Spheres, pairs: Pairs, bond_parameters: wp.array(dtype=Bond), first_bond: wp.int32,
+        first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
+        velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
         """`row` is the first of the laws of the sphere's material, `base` the first sphere of the scene."""
         entry = read_int(pairs.other, k)
@@ -142,16 +142,22 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         if wp.static(mixed):
             put_int(ints, wp.static(int_at["law"]), lane, row + read_int(spheres.material, j))
         if wp.static(bonds):
-            kind = read_int(pairs.bond, k)
+            bond = read_int(pairs.bond, k)
             if wp.static(healing):
-                if kind == UNBONDED:
-                    kind = 1
-                    pairs.bond[k] = 1
+                if bond == UNBONDED:
+                    bond = bond_with(1, k - first_load)
+                    pairs.bond[k] = bond
+            kind = kind_of(bond)
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
             # One that is not bonded goes through the same numbers, which then count for nothing.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
-            put4(columns, wp.static(at["bond_force"]), lane, read_half(pairs.load, k, 0))
-            put4(columns, wp.static(at["bond_moment"]), lane, read_half(pairs.load, k, 1))
+            force, moment, at_row = t.vec4(), t.vec4(), wp.int32(-1)
+            if bond > 0:
+                at_row = first_load + load_row(bond)
+                force, moment = read_half(pairs.load, at_row, 0), read_half(pairs.load, at_row, 1)
+            put_int(ints, wp.static(int_at["load"]), lane, at_row)
+            put4(columns, wp.static(at["bond_force"]), lane, force)
+            put4(columns, wp.static(at["bond_moment"]), lane, moment)
 
     return gather
 
@@ -269,8 +275,10 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
             if wp.static(bonds or dissipation):
                 own = shared or read_int(pairs.other, k) >= 0
                 if wp.static(bonds):
-                    write_half(pairs.load, k, 0, get4(columns, wp.static(at["bond_force"]), lane))
-                    write_half(pairs.load, k, 1, get4(columns, wp.static(at["bond_moment"]), lane))
+                    at_row = get_int(ints, wp.static(int_at["load"]), lane)
+                    if at_row >= 0:
+                        write_half(pairs.load, at_row, 0, get4(columns, wp.static(at["bond_force"]), lane))
+                        write_half(pairs.load, at_row, 1, get4(columns, wp.static(at["bond_moment"]), lane))
                     outcome = get_int(ints, wp.static(int_at["bond"]), lane)
                     if outcome < 0:
                         pairs.bond[k] = outcome

@@ -13,7 +13,7 @@ import warp as wp
 from ..common.control import HALTED
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
+from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions, kind_of
 from .contact_law import contact_functions
 from .contacts import contact_options
 from .linking import BITS, MORE, mark_function
@@ -197,7 +197,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """`state` and `kind` are those of `links.touched` and `pairs.bond`."""
+        """`state` is that of `links.touched`, `kind` that of the bond."""
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
         close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
@@ -274,12 +274,13 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             write_vec4(pairs.history, k, pack(new_history, scalar(0.0)))
         bond_moment = t.vec3()
         if wp.static(bonds):
-            kind = pairs.bond[k]
+            before = pairs.bond[k]
             total, bond_moment, lost, outcome = bonded(
-                pairs, bond_parameters, scenes.row[s].bonds, k, pair, spin_j - spin_i, total, lost, dt
-            )
+                pairs, bond_parameters, scenes.row[s].bonds, scenes.row[s].loads, k, pair, spin_j - spin_i, total,
+                lost, dt,
+            )  # fmt: skip
             if wp.static(healing):
-                if kind == UNBONDED:
+                if before == UNBONDED:
                     pairs.bond[scenes.row[s].pairs + links.link[p][3]] = pairs.bond[k]
             if outcome < 0:
                 pairs.bond[scenes.row[s].pairs + links.link[p][3]] = outcome
@@ -353,7 +354,7 @@ def link_kernel(
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
             state, kind = read_int(links.touched, ends[3]), wp.int32(0)
             if wp.static(bonds):
-                kind = read_int(pairs.bond, ends[2])
+                kind = kind_of(read_int(pairs.bond, ends[2]))
             if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
                 continue
             if looks(

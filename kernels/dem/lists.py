@@ -10,6 +10,7 @@ import warp as wp
 
 from ..common.control import ARRIVED, FAILED, HALTED, STALE
 from ..common.types import SPAN, types, vector_functions
+from .bond_parallel import bond_with, kind_of, load_row
 from .clock import arrived_function
 from .pairs import ALL_TOUCHED, decode
 from .search import find_function
@@ -20,7 +21,7 @@ SAMPLED = wp.constant(16)
 
 
 @functools.cache
-def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, lanes: int = 1):
+def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1):
     """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list.
 
     A sphere's entries fall to so many `lanes`, threads of a GPU, in turn.
@@ -30,6 +31,20 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
     find = find_function(scalar, half)
+
+    @wp.func
+    def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
+        """A bond as an entry of a half list has it. Of a pair across a border of chunks both threads step the load: the
+        entry that does not count has the row after that of the other, an even one."""
+        found = bond
+        if bond > 0:
+            row = load_row(bond) / 2 * 2
+            if not own:
+                first = scenes.row[s].loads
+                pairs.load[first + row + 1] = pairs.load[first + row]
+                row += 1
+            found = bond_with(kind_of(bond), row)
+        return found
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
@@ -78,12 +93,19 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                         else:
                             pairs.rolling[k] = t.vec3()
                     if wp.static(bonds):
+                        bond = wp.int32(0)
                         if old >= 0:
-                            pairs.bond[k] = old_pairs.bond[old]
-                            pairs.load[k] = old_pairs.load[old]
-                        else:
-                            pairs.bond[k] = 0
-                            pairs.load[k] = t.vec8()
+                            bond = old_pairs.bond[old]
+                        if wp.static(healing):
+                            load = t.vec8()
+                            if old >= 0:
+                                load = old_pairs.load[old]
+                            pairs.load[k] = load
+                            if bond > 0:
+                                bond = bond_with(kind_of(bond), k - row)
+                        elif wp.static(half):
+                            bond = row_of_entry(scenes, pairs, s, bond, entry >= 0 or (j >= first and j < last))
+                        pairs.bond[k] = bond
 
     return transfer_history
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .bond_parallel import HYDRATED
+from .bond_parallel import HYDRATED, bond_with, kind_of, load_row
 from .search import find_function
 from .structs import array_structs, subcycled_struct
 
@@ -63,9 +63,12 @@ def locating_kernels(scalar, half: bool, history: bool):
         subcycled.copy[p] = wp.where(copy == k, -1, copy)
         subcycled.active[p] = 0
         if k >= 0:  # else parted, long after its bond broke
-            subcycled.active[p] = wp.where(pairs.bond[k] == HYDRATED, 1, 0)
-            subcycled.held.bond[p] = pairs.bond[k]
-            subcycled.held.load[p] = pairs.load[k]
+            bond = pairs.bond[k]
+            subcycled.active[p] = wp.where(kind_of(bond) == HYDRATED, 1, 0)
+            subcycled.held.bond[p] = bond
+            if bond > 0:
+                subcycled.held.bond[p] = bond_with(kind_of(bond), p)
+                subcycled.held.load[p] = pairs.load[scenes.row[s].loads + load_row(bond)]
             if wp.static(history):
                 subcycled.held.history[p] = pairs.history[k]
 

@@ -7,7 +7,7 @@ import warp as wp
 
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
+from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions, bond_with, kind_of, load_row
 from .contact_law import contact_functions
 from .structs import array_structs
 
@@ -160,7 +160,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
             k = block + lowest_bit(left)
             left = left & (left - 1)
             if wp.static(subcycling):
-                if k < end and pairs.bond[k] == HYDRATED:
+                if k < end and kind_of(pairs.bond[k]) == HYDRATED:
                     continue  # its history is not a contact's of this step
             if k < end:
                 lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
@@ -255,6 +255,7 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         pairs: Pairs,
         parameters: wp.array(dtype=Bond),
         first_kind: wp.int32,
+        first_load: wp.int32,
         k: wp.int32,
         pair: PairTouch,
         relative_spin: t.vec3,
@@ -265,21 +266,22 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         """Force of contact and bond [N], moment of the bond [N m], energy lost [J], and how it broke, or 1."""
         moment = t.vec3()
         outcome = wp.int32(1)
-        kind = read_int(pairs.bond, k)
+        bond = read_int(pairs.bond, k)
         if wp.static(healing):
-            if kind == UNBONDED:
-                kind = 1
-                pairs.bond[k] = 1
-        if kind > 0:
+            if bond == UNBONDED:
+                bond = bond_with(1, k - first_load)
+                pairs.bond[k] = bond
+        if bond > 0:
+            row = first_load + load_row(bond)
             pull = bond_pull(
-                parameters[first_kind + kind], pair, relative_spin, read_half(pairs.load, k, 0),
-                read_half(pairs.load, k, 1), lost, dt,
+                parameters[first_kind + kind_of(bond)], pair, relative_spin, read_half(pairs.load, row, 0),
+                read_half(pairs.load, row, 1), lost, dt,
             )  # fmt: skip
             outcome = pull.outcome
             if outcome < 0:
                 pairs.bond[k] = outcome
-            write_half(pairs.load, k, 0, pull.force)
-            write_half(pairs.load, k, 1, pull.moment)
+            write_half(pairs.load, row, 0, pull.force)
+            write_half(pairs.load, row, 1, pull.moment)
             total = pull.contact * total + pull.total
             moment = pull.bending
             lost = pull.lost
@@ -312,7 +314,7 @@ def closeness_function(scalar, bonds: bool, subcycling: bool):
             reach = position[3] + position_j[3]
             close = wp.length_sq(xyz(position_j) - x) < reach * reach
             if wp.static(bonds):
-                kind = read_int(pairs.bond, block + b)
+                kind = kind_of(read_int(pairs.bond, block + b))
                 close = close or kind > 0
                 if wp.static(subcycling):
                     close = close and kind != HYDRATED

@@ -8,7 +8,7 @@ from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
-from .bond_parallel import HYDRATED, bond_functions
+from .bond_parallel import HYDRATED, bond_functions, kind_of, load_row
 from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
@@ -217,11 +217,12 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
                 turned = moment_energy(p, touch, pairs.rolling[k])
                 sums[ELASTIC_ENERGY] += wp.float64(turned)
         if wp.static(bonds):
-            kind = pairs.bond[k]
+            kind = kind_of(pairs.bond[k])
             if kind > 0:
+                row = scenes.row[s].loads + load_row(pairs.bond[k])
                 touch = sphere_touch(n, zero, t.vec3(), zero, radius_i, radius_j, mass_i, mass_j)
                 b = bond_parameters[scenes.row[s].bonds + kind]
-                stored = bond_energy(b, touch, read_half(pairs.load, k, 0), read_half(pairs.load, k, 1))
+                stored = bond_energy(b, touch, read_half(pairs.load, row, 0), read_half(pairs.load, row, 1))
                 sums[BOND_ENERGY] += wp.float64(stored)
                 sums[BONDED] += wp.float64(1.0)
                 if kind == HYDRATED:

@@ -8,6 +8,7 @@ from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .analytic_walls import surface_touch_function
+from .bond_parallel import load_row
 from .pairs import decode, pair_functions
 from .structs import array_structs
 
@@ -35,7 +36,8 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
     @wp.func
     def force_on(
-        i: wp.int32, j: wp.int32, k: wp.int32, sign: scalar, parameters: PairParameters, spheres: Spheres, pairs: Pairs
+        i: wp.int32, j: wp.int32, k: wp.int32, sign: scalar, parameters: PairParameters, spheres: Spheres, pairs: Pairs,
+        first_load: wp.int32,
     ):  # fmt: skip
         pair = pair_touch(
             spheres.position[i], spheres.velocity[i], xyz(spheres.spin[i]), spheres.position[j], spheres.velocity[j],
@@ -50,7 +52,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
             total = push
         if wp.static(bonds):
             if pairs.bond[k] > 0:
-                load = read_half(pairs.load, k, 0)
+                load = read_half(pairs.load, first_load + load_row(pairs.bond[k]), 0)
                 total = total + xyz(load) + load[3] * pair.touch.normal
         return sign * total
 
@@ -88,7 +90,8 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
             push = t.vec3()
             if counts:
                 sign = wp.where(entry < 0, scalar(-1.0), scalar(1.0))
-                push = force_on(i, j, k, sign, pair_parameters[row + spheres.material[j]], spheres, pairs)
+                law = pair_parameters[row + spheres.material[j]]
+                push = force_on(i, j, k, sign, law, spheres, pairs, scenes.row[s].loads)
             pair_push[k - first_entry] = push
         x = xyz(spheres.position[i])
         radius = spheres.position[i][3]

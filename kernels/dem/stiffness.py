@@ -7,7 +7,7 @@ import warp as wp
 
 from ..common.rows import row_functions
 from ..common.types import lowest_bit, types, vector_functions
-from .bond_parallel import HYDRATED, bond_functions
+from .bond_parallel import HYDRATED, bond_functions, kind_of
 from .contact_law import contact_functions
 from .pairs import BLOCK, decode
 from .structs import array_structs
@@ -100,7 +100,7 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
         length = position_i[3] + position_j[3]
         found = wp.length_sq(xyz(position_j) - xyz(position_i)) < length * length
         if wp.static(bonds):
-            bond = read_int(pairs.bond, pair)
+            bond = kind_of(read_int(pairs.bond, pair))
             found = found or bond > 0
             if wp.static(subcycling):
                 found = found and (bond == HYDRATED) == stiff
@@ -166,7 +166,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         k = stiffness(parameters[row + read_int(spheres.material, j)], touch)
         held = t.vec4()
         if wp.static(bonds):
-            bond = read_int(pairs.bond, pair)
+            bond = kind_of(read_int(pairs.bond, pair))
             if bond > 0:
                 held = bond_stiffness(bond_parameters[scenes.row[s].bonds + bond], touch)
         kn = k[0] + held[0]

@@ -55,6 +55,7 @@ def scene_struct(scalar):
         spheres: wp.int32
         sphere_count: wp.int32
         pairs: wp.int32
+        loads: wp.int32
         candidates: wp.int32
         faces: wp.int32
         walls: wp.int32
@@ -137,9 +138,9 @@ def array_structs(scalar) -> SimpleNamespace:
         other: wp.array(dtype=wp.int32)  # the other sphere j, or -1 - j if j has the lower number, shape (pairs,)
         history: wp.array(dtype=t.vec4)  # of the contact, for springs the shear force [N], and nothing, shape (pairs,)
         rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
-        bond: wp.array(dtype=wp.int32)  # kind of bond, 0 for none, below 0 broken, shape (pairs,)
-        load: wp.array(dtype=t.vec8)  # of a bond: shear vector and tension [N], bending vector and torsion [N m], shape
-        # (pairs,); one row, since a GPU moves 32 bytes or none
+        bond: wp.array(dtype=wp.int32)  # its kind and row as of `bond_parallel`, 0 for none, below 0 broken, (pairs,)
+        load: wp.array(dtype=t.vec8)  # of each bond: shear vector and tension [N], bending vector and torsion [N m],
+        # shape (bonds,), where contacts heal (pairs,); one row, since a GPU moves 32 bytes or none
 
     @wp.struct
     class Candidates:

@@ -21,7 +21,7 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.resident import gather
 from ..common.types import SPAN, types, vector_functions
-from .bond_parallel import HYDRATED, bond_functions
+from .bond_parallel import HYDRATED, bond_functions, load_row
 from .clump_motion import carry_function
 from .contacts import contact_options
 from .motion import motion_functions, rotation_functions
@@ -70,7 +70,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
         moment = t.vec3()
         if subcycled.held.bond[p] > 0:
             total, moment, lost, outcome = bonded(
-                subcycled.held, bond_parameters, first_bond, p, pair, relative_spin, total, lost, dt
+                subcycled.held, bond_parameters, first_bond, 0, p, pair, relative_spin, total, lost, dt
             )
             if outcome > 0:
                 damping, turning, power = dashpots(
@@ -108,10 +108,11 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
 
     @wp.func
-    def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, k: wp.int32):
-        """Bring an entry of the list up to date."""
-        pairs.bond[k] = subcycled.held.bond[p]
-        pairs.load[k] = subcycled.held.load[p]
+    def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
+        """Bring an entry of the list up to date, whose bond has held until this step."""
+        pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
+        if subcycled.held.bond[p] <= 0:
+            pairs.bond[k] = subcycled.held.bond[p]
         if wp.static(history):
             pairs.history[k] = subcycled.held.history[p]
 
@@ -150,9 +151,10 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
                 if wp.static(healing):
                     if pair.touch.gap >= scalar(0.0):
                         subcycled.held.bond[p] = 0  # may bond again at the next touch
-            keep(pairs, subcycled, p, subcycled.entry[p])
+            first_load = scenes.row[s].loads
+            keep(pairs, subcycled, p, first_load, subcycled.entry[p])
             if subcycled.copy[p] >= 0:
-                keep(pairs, subcycled, p, subcycled.copy[p])
+                keep(pairs, subcycled, p, first_load, subcycled.copy[p])
         bent = wp.cross(pair.touch.normal, total)
         subcycled.force[ends[2]] = total
         subcycled.torque[ends[2]] = pair.arm_i * bent + moment + wp.cross(arm_a, total)

@@ -1,10 +1,17 @@
-"""Making bonds in a scene, and giving some of them other properties."""
+"""Making bonds in a scene, giving some of them other properties, and where their loads stand.
+
+A bond has a row of `pairs.load`, which `pairs.bond` tells beside its kind, for as long as it holds: lists are built
+anew around it. Of a half list, by which threads step a pair across their border each for itself, a bond has two rows.
+Where contacts heal any listed pair may become a bond, so there each entry of the list has a row, which goes with it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..core.errors import CapacityError
 from ..core.launching import launch
+from ..kernels.dem.bond_parallel import KIND_BITS, MOST_KINDS, MOST_ROWS
 from ..kernels.dem.bonding import bond_kernels
 from .model import Model
 from .probes import listed_pairs
@@ -15,14 +22,18 @@ from .state import State
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
     """Bond, without load, every listed pair within `bonds.gap` that is not bonded (inside `group` only, if given).
 
-    Returns the number of pairs that are bonded afterwards. The list must be fresh and reach as far as the gap.
+    Returns the number of pairs that are bonded afterwards. The list must be fresh and reach as far as the gap. Raises
+    :class:`CapacityError` where there are more bonds than can be numbered.
     """
     make, _ = bond_kernels(model.scalar)
+    before = state.pairs.bond.numpy().copy()
     launch(
-        make, state.sphere_count, model.device, kind=kind, gap=bonds.gap, group=group, bodies=state.bodies,
-        spheres=state.spheres, pairs=state.pairs,
+        make, state.sphere_count, model.device, kind=kind, healing=model.features.healing, gap=bonds.gap, group=group,
+        bodies=state.bodies, spheres=state.spheres, pairs=state.pairs,
     )  # fmt: skip
-    return int(np.count_nonzero(_bonds(state) == kind))
+    if not model.features.healing:
+        _number(state, before)
+    return int(np.count_nonzero(_kinds(state) == kind))
 
 
 def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
@@ -32,9 +43,57 @@ def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: flo
         reassign, state.sphere_count, model.device, old_kind=old, new_kind=new, fraction=fraction,
         seed=seed & 0xFFFFFFFF, spheres=state.spheres, pairs=state.pairs,
     )  # fmt: skip
-    return int(np.count_nonzero(_bonds(state) == new))
+    return int(np.count_nonzero(_kinds(state) == new))
 
 
-def _bonds(state: State) -> np.ndarray:
+def bond_kinds(bond: np.ndarray) -> np.ndarray:
+    """Kinds of bonds, or what is said instead of one, as `kernels/dem/bond_parallel.py` has them, of `pairs.bond`."""
+    return np.where(bond > 0, bond & MOST_KINDS, bond)
+
+
+def bond_rows(bond: np.ndarray) -> np.ndarray:
+    """Rows of `pairs.load` of those that are bonds, of `pairs.bond`."""
+    return bond >> int(KIND_BITS)
+
+
+def _kinds(state: State) -> np.ndarray:
     """Bond state of every listed pair, each pair once."""
-    return state.pairs.bond.numpy()[listed_pairs(state)[2]]
+    return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
+
+
+def _number(state: State, before: np.ndarray) -> None:
+    """Give all bonds rows in the order of the list; those that were not there `before` begin without load."""
+    i, j, place = listed_pairs(state)
+    bond = state.pairs.bond.numpy().copy()
+    held = bond[place] > 0
+    i, j, place = i[held], j[held], place[held]
+    apart = 2 if state.model.features.half_list else 1
+    count = apart * len(place)
+    if count > MOST_ROWS:
+        raise CapacityError(f"bonds = {len(place)}: at most {MOST_ROWS // apart} can be numbered in one scene")
+    row = apart * np.arange(len(place), dtype=bond.dtype)
+    load = np.zeros((count, 8), dtype=state.pairs.load.numpy().dtype)
+    kept = before[place] > 0
+    for copy in range(apart):
+        load[row[kept] + copy] = state.pairs.load.numpy()[bond_rows(before[place[kept]])]
+    bond[place] = bond_kinds(bond[place]) | (row << int(KIND_BITS))
+    if apart > 1:
+        _number_copies(state, bond, np.minimum(i, j), np.maximum(i, j), place)
+    state.batch.reserve_loads(state.index, count)
+    state.pairs.bond.assign(bond)
+    if count:
+        state.pairs.load[:count].assign(load)
+
+
+def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
+    """Give the second entries of bonds across borders of chunks the second rows of these, of places `low` and `high` of
+    their spheres and `place` in the list."""
+    start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
+    copies = np.flatnonzero(bond[: len(other)] > 0)
+    copies = copies[~np.isin(copies, place)]
+    i = np.searchsorted(start, copies, "right") - 1
+    j = np.where(other[copies] >= 0, other[copies], -1 - other[copies])
+    n = np.int64(state.sphere_count)
+    order = np.argsort(low * n + high)
+    first = place[order[np.searchsorted(low[order] * n + high[order], np.minimum(i, j) * n + np.maximum(i, j))]]
+    bond[copies] = bond_kinds(bond[copies]) | ((bond_rows(bond[first]) + 1) << int(KIND_BITS))

@@ -23,6 +23,7 @@ from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
 from ..kernels.dem.subcycling import PART
 from .bodies import BodyTable, placed_bodies
+from .bonding import bond_kinds
 from .containers import PipeContainer
 from .laws import ContactLaw
 from .packing import PackingReport, pack
@@ -209,7 +210,8 @@ class _Copy:
         if self.spheres == 0:
             return {"no bodies": stepper.dt}, "nothing bounds it but its largest allowed size"
         found: dict[str, float] = {}
-        kinds = simulation.state.pairs.bond.numpy().copy() if simulation.model.features.bonds else None
+        held = simulation.state.pairs.bond.numpy().copy() if simulation.model.features.bonds else None
+        kinds = None if held is None else bond_kinds(held)
 
         def estimate() -> float:
             stepper.batch.device_changed()
@@ -217,8 +219,8 @@ class _Copy:
 
         names = [*(["bonds"] if scene.bonds else []), *(["hydrated bonds"] if scene.hydration else []),
                  *(f"bonds of {group}" for group in scene.group_bonds)]  # fmt: skip
-        if kinds is not None:
-            simulation.state.pairs.bond.assign(np.zeros_like(kinds))
+        if held is not None:
+            simulation.state.pairs.bond.assign(np.zeros_like(held))
         subcycles = stepper.batch.subcycles
         rounds = subcycles.rounds
         if rounds:
@@ -227,10 +229,10 @@ class _Copy:
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):
-                assert kinds is not None
+                assert held is not None and kinds is not None
                 if rounds and name == "hydrated bonds":
                     continue
-                only = kinds.copy()
+                only = held.copy()
                 if name == "hydrated bonds":  # beside the others, which they were before
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
@@ -238,8 +240,8 @@ class _Copy:
                 simulation.state.pairs.bond.assign(only)
                 found[f"contacts and {name}"] = estimate()
         finally:
-            if kinds is not None:
-                simulation.state.pairs.bond.assign(kinds)
+            if held is not None:
+                simulation.state.pairs.bond.assign(held)
             if rounds:
                 subcycles.set_rounds(stepper.index, rounds)
         if self._springs_differ:

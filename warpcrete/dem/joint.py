@@ -14,6 +14,7 @@ from ..geometry.surfaces import Surfaces
 from ..geometry.walls import MeshWall
 from ..kernels.common.types import types
 from ..kernels.common.walls import FIXED, MESH
+from ..kernels.dem.bond_parallel import MOST_ROWS
 from ..kernels.dem.structs import array_structs, scene_struct
 from .ahead import NEVER
 from .links import carry_links, even_pairs, make_links
@@ -83,6 +84,8 @@ class JointArrays:
         """Entries that there is room for in the pair arrays, of each scene."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Likewise of the mesh candidates."""
+        self.load_capacity = np.array([len(s.pairs.load) for s in states])
+        """Likewise of the loads of bonds, unless contacts heal: then all entries have some."""
         self._join_states()
         self._join_models()
         self._place_pairs()
@@ -214,17 +217,27 @@ class JointArrays:
     def _place_pairs(self) -> None:
         self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])
         self.rows["candidates"] = np.concatenate([[0], np.cumsum(self.face_capacity)[:-1]])
+        loads = self.capacity if self.features.healing else self.load_capacity
+        self.rows["loads"] = np.concatenate([[0], np.cumsum(loads)[:-1]])
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
+        if self.features.healing and np.any(wanted > MOST_ROWS):
+            raise CapacityError(f"bonds = {wanted.max()} listed pairs that may bond: at most {MOST_ROWS} in one scene")
         before, old = self.links, self.capacity.copy()
         before.pull = None  # what touches is written anew before it is read, and takes most of the memory
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
         if self.parallel:
             carry_links(before, old, self.links, self.capacity)
+
+    def reserve_loads(self, s: int, wanted: int) -> None:
+        """Room for the loads of at least so many bonds of a scene."""
+        each = self.load_capacity.copy()
+        each[s] = wanted
+        self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` mesh candidates a scene."""

@@ -10,13 +10,13 @@ import warp as wp
 from ..kernels.dem.linking import MORE
 from ..kernels.dem.links import pull_rows
 from ..kernels.dem.structs import links_struct
-from .state import PAIR_ARRAYS, State
+from .state import State, pair_bytes
 
 
 def even_pairs(states: list[State]) -> None:
     """Give lists even room: a full one holds every pair twice, and links begin at half a scene's first entry."""
     for state in states:
-        for name in PAIR_ARRAYS:
+        for name in pair_bytes(state.model):
             array = getattr(state.pairs, name)
             if len(array) % 2:
                 even = wp.zeros(len(array) + 1, dtype=array.dtype, device=array.device)

@@ -17,6 +17,7 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
+BONDED = 3  # pairs a sphere that are bonded, in a dense packing
 LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
 
 
@@ -38,6 +39,8 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     scalar = wp.types.type_size_in_bytes(model.scalar)
     # Besides the state: the list before (for history), row starts and grid, the estimate's sums, the probes' rows.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
+    if model.features.bonds and not model.features.healing:  # else with the list; half lists have two rows for each
+        listing += (2 if model.features.half_list else 1) * BONDED * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:

@@ -15,7 +15,7 @@ from ..geometry.axis import Axis
 from ..geometry.walls import MeshWall, Prescribed, Wall
 from ..kernels.common.geometry import axis_functions
 from ..kernels.common.walls import wall_struct
-from ..kernels.dem.bond_parallel import bond_functions
+from ..kernels.dem.bond_parallel import MOST_KINDS, bond_functions
 from .laws import ContactLaw
 from .resting import grown_bonds, has_layer
 from .scene import MUCH_STIFFER, Bonds, Scene
@@ -251,7 +251,10 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
     if scene.hydration is not None:
         kinds.append(scene.hydration.bonds)
     grown = grown_bonds(scene)
-    return (*kinds, *scene.group_bonds.values(), *([grown] if grown is not None else ()))
+    kinds += [*scene.group_bonds.values(), *([grown] if grown is not None else ())]
+    if len(kinds) > MOST_KINDS:
+        refuse("group_bonds", len(scene.group_bonds), f"a scene has at most {MOST_KINDS} kinds of bonds in all")
+    return tuple(kinds)
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:

@@ -370,7 +370,7 @@ class NeighborLists:
         chunks = list(pairwise(b.sphere_chunks.tolist()))
         lists = list_kernels(b.scalar)
         lanes = 1 if f.half_list else OCTANTS
-        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, lanes)
+        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, f.healing, lanes)
         cells = {"grid": self._cells.grid, "shift": self._cells.shift}
         before = {"old_pairs": self._old, "old_place": old_place, "stretched": self._stretched}
         if f.half_list:

@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 
 from .bodies import BodyTable, placed_bodies
+from .bonding import bond_kinds, bond_rows
 from .model import Model
 from .probes import listed_pairs
-from .state import NUMBERS, PAIR_ARRAYS, State
+from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}
 """Arrays that are zero between two steps."""
@@ -23,7 +24,7 @@ def state_dict(state: State) -> dict[str, Any]:
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
             data = array.numpy()
-            listed = struct == "pairs" and name in PAIR_ARRAYS
+            listed = struct == "pairs" and name in pair_bytes(state.model)
             found.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
     return found
 
@@ -68,7 +69,7 @@ def state_hash(state: State) -> str:
     position = state.spheres.position.numpy()
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
-    bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), int)
+    bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
     if not features.healing:  # that it is broken a pair tells only as long as it is listed, and nothing hangs on it
         bond = np.maximum(bond, 0)
     kept |= bond > 0
@@ -81,10 +82,12 @@ def state_hash(state: State) -> str:
     if features.pair_law.rolls:
         digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
     if features.bonds:
-        digest.update(np.ascontiguousarray(bond[kept][ranks]).tobytes())
-        load = state.pairs.load.numpy()[chosen]
-        load[bond[kept][ranks] <= 0] = 0.0  # what broke leaves zeros of either sign
-        digest.update(load.tobytes())
+        bond = bond[kept][ranks]
+        digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
+        # What broke has none, and leaves zeros of either sign where contacts heal.
+        loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
+        loads[bond <= 0] = 0.0
+        digest.update(loads.tobytes())
     by_sphere = np.argsort(ids)
     slots = state.slots
     for array in (slots.history, slots.rolling, slots.normal, slots.overlap, slots.wall):

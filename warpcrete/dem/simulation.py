@@ -18,6 +18,7 @@ from ..core.units import quantity
 from ..geometry.walls import Driven
 from .blockage import BlockageWatch
 from .bodies import BodyTable, placed_bodies
+from .bonding import bond_kinds
 from .display import ElementDisplay
 from .measures import at_rest, is_over
 from .memory import check_memory
@@ -142,9 +143,9 @@ class ElementSimulation(Simulation):
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
             # Contacts that healed while settling carry its loads: all of the scene's bonds start anew at t = 0.
-            kinds = self.state.pairs.bond.numpy()
-            kinds[kinds <= 1] = 0
-            self.state.pairs.bond.assign(kinds)
+            bonds = self.state.pairs.bond.numpy()
+            bonds[bond_kinds(bonds) <= 1] = 0
+            self.state.pairs.bond.assign(bonds)
         self.bond()
         self.stepper.choose_dt()
         self._begin()

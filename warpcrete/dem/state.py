@@ -158,7 +158,8 @@ class State:
     def _make_pairs(self) -> None:
         n, f = self.sphere_count, self.model.features
         used = pair_bytes(self.model)
-        self._fill("pairs", start=n + 1, **{name: 1 if name in used else 0 for name in PAIR_ARRAYS})
+        sizes = {name: 1 if name in used else 0 for name in PAIR_ARRAYS}
+        self._fill("pairs", start=n + 1, **sizes | {"load": 1 if f.bonds else 0})
         self._fill("candidates", start=n + 1 if f.meshes else 0, face=1 if f.meshes else 0)
 
     def _make_walls(self) -> None:
@@ -289,14 +290,14 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Arrays of `pairs` that have an entry for each listed pair."""
+"""Arrays of `pairs` that may have an entry for each listed pair."""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
     """Size of an entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    used |= dict.fromkeys(("bond", "load"), f.bonds)
+    used |= {"bond": f.bonds, "load": f.healing}  # elsewhere bonds alone have loads: see `bonding`
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 

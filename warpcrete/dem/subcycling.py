@@ -14,6 +14,7 @@ from ..kernels.dem.bond_parallel import HYDRATED
 from ..kernels.dem.locating import locating_kernels
 from ..kernels.dem.structs import subcycled_struct
 from ..kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
+from .bonding import bond_kinds
 from .probes import listed_pairs
 from .state import pair_bytes
 
@@ -80,7 +81,7 @@ class Subcycles:
         """Take the hydrated bonds that scene `s` has now; no other scene changes."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
-        held = state.pairs.bond.numpy()[place] == int(HYDRATED)
+        held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
         number = state.spheres.id.numpy()
         ends = np.stack([number[i[held]], number[j[held]]])
         pairs = np.stack([ends.min(0), ends.max(0)])
@@ -172,7 +173,7 @@ class Subcycles:
                 else:
                     array = wp.zeros(0 if name in given else count, dtype=dtype, device=b.device)
                 setattr(self.arrays, name, array)
-        for name in pair_bytes(b.models[0]):
+        for name in {*pair_bytes(b.models[0]), "load"}:
             dtype = getattr(b.pairs, name).dtype
             setattr(self.arrays.held, name, wp.zeros(self.pair_count, dtype=dtype, device=b.device))
         self._sphere_place = wp.zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
