@@ -116,6 +116,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                     remembers = remembers or wp.length_sq(pairs.rolling[row + k]) > scalar(0.0)
                 if wp.static(bonds):
                     remembers = remembers or pairs.bond[row + k] != 0
+                    if pairs.bond[row + k] > 0:
+                        pairs.bond[row + twin] = pairs.bond[row + k]  # with the same row for the load
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.touched[p] = wp.where(remembers, 1, 0)
                 links.end[row + k] = p - row / 2

@@ -176,7 +176,7 @@ def array_structs(scalar) -> SimpleNamespace:
 @functools.cache
 def links_struct(scalar):
     """Struct `Links`: pairs as a GPU evaluates them, a thread each. A pair's `entry` is that of its sphere with the
-    lower permanent number; the entry of the other is its `twin`. Only entries that are no twins hold history and load.
+    lower permanent number; the entry of the other is its `twin`. Only entries that are no twins hold history.
     """
     t = types(scalar)
 

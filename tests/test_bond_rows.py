@@ -1,0 +1,135 @@
+"""Loads of bonds have rows of their own: where these stand, alone, in batches, and in lists of either kind."""
+
+import dataclasses
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from conftest import bonds_of, pair_history
+from pumping import SMALL
+from test_bonds import strong
+from test_contacts import two_spheres
+
+from warpcrete import SceneError, Simulation, scenes
+from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.errors import CapacityError
+from warpcrete.dem import bonding, joint
+from warpcrete.dem.bonding import bond_rows
+from warpcrete.dem.model import build_model
+from warpcrete.dem.probes import listed_pairs
+from warpcrete.dem.state import State
+from warpcrete.dem.stepper import steppers_of
+
+WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
+
+
+def rows_of(state):
+    """Rows of the loads of all entries that are bonded, and which entries these are."""
+    bond = state.pairs.bond.numpy()
+    entries = np.flatnonzero(bond[: state.pair_total] > 0)
+    return bond_rows(bond[entries]), entries
+
+
+def is_bond(value) -> bool:
+    """Of a value of `pair_history`."""
+    return int(np.frombuffer(value[1], np.int32)[0]) > 0
+
+
+def check_rows(state):
+    """Every bond has a row, none has that of another, and all of its entries say which."""
+    rows, entries = rows_of(state)
+    _, _, place = listed_pairs(state)
+    own = np.isin(entries, place)
+    apart = 2 if state.model.features.half_list else 1
+    assert len(np.unique(rows[own])) == own.sum() > 50 and np.all(rows[own] % apart == 0)
+    assert np.isin(rows[~own] - (apart - 1), rows[own]).all()
+    assert rows.max() < len(state.pairs.load)
+    for load in pair_history(state).values():  # which compares both entries of a pair, where both count
+        assert len(load) == 3
+
+
+@WAYS
+@pytest.mark.parametrize(
+    "stiff", [{}, dict(hydration=0.3, hydration_modulus=1e7, hydration_rounds=8)], ids=["single steps", "rounds"]
+)
+def test_bonds_keep_their_rows(device, way, stiff):
+    with nullcontext() if device.startswith("cuda") else way():
+        scene = scenes.pipe(plug="plate", **stiff, **SMALL)
+        simulation = Simulation(scene, device=device, threads=1)
+        simulation.prepare()
+        state = simulation.state
+        check_rows(state)
+        rows, _ = rows_of(state)
+        # Of no more than are bonded, but for what arrays are given to grow.
+        assert len(state.pairs.load) <= 1.25 * (rows.max() + 2) + 65
+        simulation.stepper.advance(0.05)
+        assert state.spheres.broken.numpy().sum() > 0
+        check_rows(state)
+        left, _ = rows_of(state)
+        assert set(left) < set(rows)
+        held = simulation.stepper.batch.subcycles
+        assert (held.pair_count > 0) == bool(stiff)
+        if held.pair_count:
+            active = held.arrays.active.numpy() != 0
+            entry = held.arrays.entry.numpy()[active]
+            assert len(entry) > 50
+            assert np.array_equal(bonds_of(state)[1][entry], held.arrays.held.load.numpy()[active])
+
+
+def test_entries_across_a_border_of_threads_have_rows_of_their_own(monkeypatch):
+    monkeypatch.setattr("warpcrete.dem.batch.PER_THREAD", 16)
+    simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=2)
+    simulation.prepare()
+    simulation.stepper.advance(0.02)
+    state = simulation.state
+    check_rows(state)
+    rows, _ = rows_of(state)
+    assert np.sum(rows % 2 == 1) > 5 and len(np.unique(rows)) == len(rows)
+
+
+@WAYS
+def test_bonds_that_are_made_later_leave_loads_of_others_alone(device, way):
+    with nullcontext() if device.startswith("cuda") else way():
+        scene = scenes.pipe(tensile_strength=1e9, cohesion=1e9, plug="plate", **SMALL)
+        packed = Simulation(scene, device=device, threads=1)
+        packed.prepare()
+        models = [build_model(scene, find_device(device), "float32") for _ in range(2)]
+        first, second = steppers_of(models, [State(model, packed.state.table()) for model in models])
+        for stepper in (first, second):
+            stepper.choose_dt()
+            stepper.bond(scene.bonds, 1)
+            stepper.take(200)
+        before, others = pair_history(first.state), pair_history(second.state)
+        bonded = {pair for pair, value in before.items() if is_bond(value)}
+        made = first.bond(dataclasses.replace(scene.bonds, gap=2e-3), 1)
+        after = pair_history(first.state)
+        assert made > len(bonded) > 50
+        assert all(after[pair] == before[pair] and any(after[pair][2]) for pair in bonded)
+        fresh = [pair for pair, value in after.items() if is_bond(value) and pair not in bonded]
+        assert len(fresh) == made - len(bonded) and all(not any(after[pair][2]) for pair in fresh)
+        assert pair_history(second.state) == others
+        check_rows(first.state)
+        check_rows(second.state)
+
+
+def test_more_bonds_than_can_be_numbered_are_refused(start, monkeypatch):
+    scene = two_spheres(gap=1e-7, bonds=strong(), dt=1e-6)
+    stepper = start(scene)
+    monkeypatch.setattr(bonding, "MOST_ROWS", 0)
+    with pytest.raises(CapacityError, match=r"^bonds = 1: at most 0 can be numbered in one scene"):
+        stepper.bond(scene.bonds, 1)
+    monkeypatch.setattr(joint, "MOST_ROWS", 4)
+    stepper = start(dataclasses.replace(scene, bonds=dataclasses.replace(scene.bonds, healing=True)))
+    with pytest.raises(CapacityError, match=r"^bonds = 5 listed pairs that may bond: at most 4 in one scene"):
+        stepper.batch.reserve_pairs(np.array([5]))
+
+
+def test_more_kinds_of_bonds_than_can_be_told_apart_are_refused(device):
+    scene = two_spheres(gap=1e-7, bonds=strong())
+    (bodies,) = scene.bodies
+    groups = {f"lump {number}": strong() for number in range(15)}
+    scene = dataclasses.replace(
+        scene, group_bonds=groups, bodies=tuple(dataclasses.replace(bodies, group=name) for name in groups)
+    )
+    with pytest.raises(SceneError, match=r"^group_bonds = 15: a scene has at most 15 kinds of bonds in all"):
+        build_model(scene, find_device(device), "float32")
