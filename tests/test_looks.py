@@ -175,10 +175,13 @@ def test_a_flow_s_profile_stands_beside_theory():
 
 
 def bars(path, entity):
-    """Places and values of a profile in a recording, one pair a frame."""
-    held = columns(path, f"/profile/{entity}")
-    return [tuple(np.array(held[f"BarChart:{name}"][k][0]["buffer"]) for name in ("abscissa", "values"))
-            for k in range(len(held["time"]))]  # fmt: skip
+    """Places and values of a profile in a recording, one pair a frame; places are logged where they change."""
+    held, places, found = columns(path, f"/profile/{entity}"), np.zeros(0), []
+    for values, abscissa in zip(held["BarChart:values"], held["BarChart:abscissa"], strict=True):
+        places = np.array(abscissa[0]["buffer"]) if abscissa else places
+        found.append((places, np.array(values[0]["buffer"])))
+        assert len(places) == len(found[-1][1])
+    return found
 
 
 def test_stress_along_a_column_at_rest_is_what_stands_on_it(tmp_path):

@@ -11,7 +11,7 @@ import warp as wp
 from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
-from warpcrete.core import moments
+from warpcrete.core import moments, turns
 from warpcrete.core.later import MOST, Later
 from warpcrete.core.moments import Arriving, Pool, moment_of
 from warpcrete.record.paraview import ParaViewRecorder
@@ -55,7 +55,7 @@ def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypat
             for recorder in recorders:
                 lag(recorder, monkeypatch)
         run = Simulation(make(), device=device, threads=1, recorders=recorders, frame_interval=1e-4).run()
-        found.append((run.result["state_hash"], contents(folder, run)))
+        found.append((run.result["state_hash"], contents(folder)))
     assert found[0] == found[1]
     assert len(next(iter(found[0][1].values()))) > 3
 
@@ -72,18 +72,18 @@ def lag(recorder, monkeypatch):
     monkeypatch.setattr(recorder, "_draw", slowly)
 
 
-def contents(folder, run):
+def contents(folder):
     """All that recordings hold of bodies, walls, networks and curves, as text."""
     from pxr import Usd
     from rerun.chunk import RrdReader
 
-    entities = {str(c.entity_path) for c in RrdReader(str(folder / "run.rrd")).stream().to_chunks() if not c.is_static}
-    found = {}
-    for entity in sorted(entities):
+    run, scene, found = folder / "run.rrd", folder / "scene.usdc", {}
+    chunks = RrdReader(str(run)).stream().to_chunks() if run.is_file() else []
+    for entity in sorted({str(chunk.entity_path) for chunk in chunks if not chunk.is_static}):
         if entity.startswith(("/scene", "/pressure", "/shape", "/slip", "/energy", "/friction", "/profile")):
-            held = columns(folder / "run.rrd", entity)
+            held = columns(run, entity)
             found |= {f"{entity} {column}": [str(v) for v in values] for column, values in held.items()}
-    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    stage = Usd.Stage.Open(str(scene)) if scene.is_file() else Usd.Stage.CreateInMemory()
     for prim in stage.Traverse():
         for attribute in prim.GetAttributes():
             codes = attribute.GetTimeSamples()
@@ -231,3 +231,41 @@ def test_a_frame_that_cannot_be_drawn_ends_the_run_though_a_checkpoint_comes_fir
     with pytest.warns(UserWarning, match="checkpoint"), pytest.raises(OSError, match="no room"):
         simulation.run()
     assert len(frames) == 3 and (tmp_path / "scene.usdc").is_file()
+
+
+def test_a_recorder_gives_way_to_a_run_that_has_work_for_its_device(monkeypatch):
+    """It works while the run waits for the device, or for the recorder; or when it has been patient for long enough."""
+    monkeypatch.setattr(turns, "PATIENCE", 30.0)
+    later, done = Later(beside=True, gives_way=True), []
+
+    def job(name):
+        done.append(name)
+        later.give_way()
+        done.append(f"{name}, second part")
+
+    later.do(lambda: job("first"))
+    time.sleep(0.05)
+    assert not done
+    with turns.waiting():
+        while len(done) < 2:
+            time.sleep(1e-3)
+    later.do(lambda: job("second"))
+    later.wait()
+    later.do(lambda: job("third"))
+    later.close()
+    assert done == [f"{name}{part}" for name in ("first", "second", "third") for part in ("", ", second part")]
+    monkeypatch.setattr(turns, "PATIENCE", 1e-3)
+    busy = Later(beside=True, gives_way=True)
+    busy.do(lambda: done.append("though nobody waits"))
+    while done[-1] != "though nobody waits":
+        time.sleep(1e-3)
+    busy.close()
+    later.give_way()  # of others than its thread it keeps nobody
+
+
+def test_recorders_give_way_on_a_gpu_alone():
+    """Where the run never waits for a device they would only be patient."""
+    for cuda in (False, True):
+        device = SimpleNamespace(is_cuda=cuda)
+        later = Later.of(SimpleNamespace(device=device, shares_cores=False, threads=0))
+        assert later.beside and later._gives_way is cuda

@@ -162,19 +162,22 @@ def test_usd_moves_walls_as_they_move(recorded):
 
 
 def columns(path, entity: str) -> dict[str, list]:
-    """Columns of an entity of a recording, by name: one value a row; durations in seconds."""
+    """Columns of an entity of a recording, by name: one value a row, in the order of time; durations in seconds. What a
+    row does not have, since it is as before, is None."""
     from rerun.chunk import RrdReader
 
-    found: dict[str, list] = {}
+    rows: list[dict] = []
     for chunk in RrdReader(str(path)).stream().to_chunks():
         if str(chunk.entity_path) == entity and not chunk.is_static:
-            batch = chunk.to_record_batch()
+            batch, held = chunk.to_record_batch(), {}
             for name in batch.schema.names:
                 if name not in ("log_time", "log_tick") and "RowId" not in name:
                     column = batch.column(name)
                     values = column.cast("int64").to_numpy() * 1e-9 if name == "time" else column.to_pylist()
-                    found.setdefault(name, []).extend(values)
-    return found
+                    held[name] = values
+            rows += [dict(zip(held, row)) for row in zip(*held.values())]
+    rows.sort(key=lambda row: row["time"])
+    return {name: [row.get(name) for row in rows] for name in sorted({name for row in rows for name in row})}
 
 
 def everything(path):

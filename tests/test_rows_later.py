@@ -4,13 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_recording_later import contents
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.run_loop import Recorder, _reads_rows_alone
+from warpcrete.core.run_loop import Recorder, _says
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.simulation import ElementSimulation
+from warpcrete.record.paraview import ParaViewRecorder
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.usd import UsdRecorder
 
 pytestmark = pytest.mark.thorough
 
@@ -53,6 +57,50 @@ def test_rows_are_completed_while_steps_go_on(monkeypatch):
     assert runs[0].result["state_hash"] == runs[1].result["state_hash"]
     for name in runs[1].series:
         assert np.array_equal(runs[0].series[name], runs[1].series[name], equal_nan=True), name
+
+
+class Frames(Rows):
+    """Keeps when frames were taken, and how many rows there were."""
+
+    draws_alone = True
+
+    def frame(self, simulation):
+        self.rows.append(("frame", *simulation.sampled, simulation.stepper.time, len(simulation.rows)))
+
+
+def test_frames_are_taken_before_a_run_goes_on(monkeypatch):
+    """At the moments at which they would be otherwise, though the row of that moment is not complete."""
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    begun, begin = [], ElementSimulation.begin_measure
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
+    taken = []
+    for alone in (True, False):
+        recorder = Frames()
+        monkeypatch.setattr(Frames, "draws_alone", alone)
+        simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=2e-3)
+        run = simulation.run()
+        taken.append((recorder.rows, run.result["state_hash"]))
+    frames, plain = ([row for row in rows if row[0] == "frame"] for rows, _ in taken)
+    assert [row[1:4] for row in frames] == [row[1:4] for row in plain] and len(frames) > 10
+    assert all(row[1] == row[3] for row in frames)
+    assert sum(one[4] < other[4] for one, other in zip(frames, plain)) > 5  # left for later
+    rows, others = ([row for row in rows if row[0] != "frame"] for rows, _ in taken)
+    assert rows == others and taken[0][1] == taken[1][1]
+
+
+@pytest.mark.parametrize("recorder", [RerunRecorder, UsdRecorder, ParaViewRecorder])
+def test_what_is_drawn_does_not_hang_on_rows(recorder, monkeypatch, tmp_path):
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    found = []
+    for alone in (True, False):
+        monkeypatch.setattr(recorder, "draws_alone", alone)
+        folder = tmp_path / str(alone)
+        folder.mkdir()
+        names = {RerunRecorder: "run.rrd", UsdRecorder: "scene.usdc", ParaViewRecorder: ""}
+        recorders = [recorder(folder / names[recorder])]
+        Simulation(scene, device="cpu", recorders=recorders, frame_interval=2e-3).run()
+        found.append(contents(folder))
+    assert found[0] == found[1] and sum(len(str(values)) for values in found[0].values()) > 10_000
 
 
 def test_what_a_row_completed_later_complains_of_ends_the_run(monkeypatch):
@@ -147,4 +195,5 @@ def test_a_recorder_that_reads_the_state_is_not_left_for_later():
         def sample(self, simulation, row):
             super().sample(simulation, row)
 
-    assert _reads_rows_alone(Recorder) and _reads_rows_alone(Rows) and not _reads_rows_alone(Reading)
+    told = [_says(kind, "sample", "rows_alone") for kind in (Recorder, Rows, Reading)]
+    assert told == [True, True, False]

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .turns import waiting
+
 KEPT = 2048
 """Arrays for which there is memory, at most: a batch of 128 runs reads some 600."""
 
@@ -69,7 +71,8 @@ class Exchange:
         """Copies of the arrays that were asked for, as they were then."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in self._asked]
-        wp.synchronize_event(self._answered)
+        with waiting():
+            wp.synchronize_event(self._answered)
         return [view.copy() for _, view in self._beside_asked]
 
     def write(self, array: wp.array, values: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from .device import default_threads, parallel
+from .turns import give_way, waiting
 
 MOST = 8
 """Jobs that may wait; the run waits when there are more, so that none is lost and memory stays bounded."""
@@ -16,11 +17,13 @@ MOST = 8
 class Later:
     """Does jobs one after the other. What one fails with is raised by every call from then on, and no other is done.
 
-    Without `beside` each is done at once, by who asks.
+    Without `beside` each is done at once, by who asks. A thread that `gives_way` works while the run waits for its
+    device.
     """
 
-    def __init__(self, beside: bool) -> None:
+    def __init__(self, beside: bool, gives_way: bool = False) -> None:
         self.beside = beside
+        self._gives_way = gives_way
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(MOST)
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
@@ -29,7 +32,7 @@ class Later:
     def of(cls, simulation: Any) -> Later:
         """Beside the run where there is a core for it: threads of a run that wait for one another need theirs."""
         spare = not simulation.shares_cores and simulation.threads < default_threads()
-        return cls(parallel(simulation.device) or spare)
+        return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
     def do(self, job: Callable[[], None]) -> None:
         """Do a job, or put it in the queue."""
@@ -40,18 +43,26 @@ class Later:
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
             self._thread.start()
-        self._jobs.put(job)
+        with waiting():
+            self._jobs.put(job)
 
     def wait(self) -> None:
         """Until all is done."""
-        self._jobs.join()
+        with waiting():
+            self._jobs.join()
         self._look()
+
+    def give_way(self) -> None:
+        """Between two parts of a job: let the run go on first."""
+        if self._gives_way and threading.current_thread() is self._thread:
+            give_way()
 
     def close(self) -> None:
         """Wait, and end the thread."""
         if self._thread is not None:
-            self._jobs.put(None)
-            self._thread.join()
+            with waiting():
+                self._jobs.put(None)
+                self._thread.join()
             self._thread = None
         self._look()
 
@@ -66,6 +77,7 @@ class Later:
                 if job is None:
                     return
                 if self._error is None:
+                    self.give_way()
                     job()
             except BaseException as error:
                 self._error = error

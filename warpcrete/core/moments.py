@@ -14,8 +14,8 @@ import warp as wp
 
 LONGEST = 60.0
 """That copies from a device may take to arrive [s]."""
-GLANCE = 1e-4
-"""Between looks whether they have [s]."""
+GLANCE = 1e-3
+"""Between looks whether they have [s]: each takes the interpreter from the run."""
 
 
 def on_host(found: Any) -> Any:

@@ -51,6 +51,8 @@ class Recorder:
     rows_alone: ClassVar[bool] = False
     """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
     class that defines `sample` says so."""
+    draws_alone: ClassVar[bool] = False
+    """Its `frame` draws by the display, and reads no row: that of this moment may come later. Likewise of `frame`."""
 
     def start(self, simulation: Any) -> None:
         """The run is about to begin."""
@@ -358,6 +360,8 @@ class Simulation:
             self._complete()  # where no step had to be taken
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
             if number < samples and self._goes_on():
+                if self._frame_is_due():
+                    self._frame()
                 self._left = number / samples
                 stepper.meanwhile = self._complete
                 continue
@@ -374,14 +378,18 @@ class Simulation:
 
     def _goes_on(self) -> bool:
         """Whether the next steps may be launched before this sample is complete: nobody but it wants the state as it is
-        now. Begins the sample then."""
+        now, or takes at once what is drawn of it. Begins the sample then."""
+        kinds = [type(recorder) for recorder in self.recorders]
         return (
             not self.stop_requested
-            and all(_reads_rows_alone(type(recorder)) for recorder in self.recorders)
-            and not (self.recorders and self.frames.due(self.sampled[0]))
+            and all(_says(kind, "sample", "rows_alone") for kind in kinds)
+            and not (self._frame_is_due() and not all(_says(kind, "frame", "draws_alone") for kind in kinds))
             and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
             and self.begin_measure()
         )
+
+    def _frame_is_due(self) -> bool:
+        return bool(self.recorders) and self.frames.due(self.sampled[0])
 
     def _complete(self) -> None:
         """Do what was left of a sample, if anything was."""
@@ -437,10 +445,10 @@ def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
         return end.value
 
 
-def _reads_rows_alone(kind: type[Recorder]) -> bool:
-    """Whether recorders of a class do; the class that has their `sample` says so."""
-    owner = next(each for each in kind.__mro__ if "sample" in vars(each))
-    return owner is Recorder or bool(vars(owner).get("rows_alone", False))
+def _says(kind: type[Recorder], method: str, name: str) -> bool:
+    """Whether the class that has a method of recorders of this kind says something of it; what does nothing does."""
+    owner = next(each for each in kind.__mro__ if method in vars(each))
+    return owner is Recorder or bool(vars(owner).get(name, False))
 
 
 def _kind(recorder: Recorder) -> str:

@@ -90,10 +90,10 @@ class ElementDisplay(Display):
         return "largest contact force on each [N]", 0.0, self._upper
 
     def _sphere_order(self) -> np.ndarray:
-        return np.argsort(self.read("spheres.id"))
+        return _places_of(self.read("spheres.id"))
 
     def _body_order(self) -> np.ndarray:
-        return np.argsort(self.read("bodies.id"))
+        return _places_of(self.read("bodies.id"))
 
     def radii(self) -> np.ndarray:
         """Of all spheres [m], in order of permanent numbers, shape (n,)."""
@@ -101,12 +101,12 @@ class ElementDisplay(Display):
 
     def centres(self) -> np.ndarray:
         """Of all spheres [m], likewise, shape (n, 3)."""
-        return self.read("spheres.position")[self._sphere_order(), :3]
+        return np.take(self.read("spheres.position"), self._sphere_order(), axis=0)[:, :3]
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all spheres, each as its body, shape (n, 3)."""
-        body = self.read("bodies.id")[self.read("spheres.body")[self._sphere_order()]]
-        return self.body_colours()[body]
+        body = np.take(self.read("spheres.body"), self._sphere_order())
+        return np.take(on_palette(self._shown(), self._upper), body, axis=0)
 
     def fields(self) -> dict[str, np.ndarray]:
         """Of every sphere its body's number, velocity [m/s] and largest contact force [N]."""
@@ -129,14 +129,15 @@ class ElementDisplay(Display):
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""
-        order = self._body_order()
+        return on_palette(self._shown()[self._body_order()], self._upper)
+
+    def _shown(self) -> np.ndarray:
+        """What colours show of all bodies, in the order of the state's arrays."""
         if self.colouring == "size":
-            values = self.read("bodies.size")[order].astype(float)
-        elif self.colouring == "speed":
-            values = np.linalg.norm(self.read("bodies.velocity")[order].astype(float), axis=1)
-        else:
-            values = self._largest_forces()[order]
-        return on_palette(values, self._upper)
+            return self.read("bodies.size").astype(float)
+        if self.colouring == "speed":
+            return np.linalg.norm(self.read("bodies.velocity").astype(float), axis=1)
+        return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
         """Pressure on the piston, and energies."""
@@ -179,7 +180,10 @@ class ElementDisplay(Display):
             return self.once("stations", lambda: sampler.log.samples[-1])  # no row is written to again
         unit = simulation.scene.contact.stress_scale * self._largest**3
         stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
-        travel = self.once("travel", lambda: sampler.rows[-1].get("travel", 0.0) if sampler.rows else 0.0)
+        probe, travel = simulation.scene.pressure, 0.0
+        if probe is not None:
+            number = next(k for k, wall in enumerate(simulation.model.walls) if wall.name == probe.wall)
+            travel = float(self.read("walls.travel")[number])
         return stresses_along(
             stations, FINEST * unit * stress, self.read("bodies.position").astype(float),
             self.read("bodies.size").astype(float), self.read("bodies.group") == 0, travel,
@@ -190,11 +194,12 @@ class ElementDisplay(Display):
         rings without bodies are left out.
         """
         pipe = self.simulation.scene.pipe
-        places, along = pipe.axis.projected(self.read("bodies.position"))
+        position = self.read("bodies.position")
+        along = pipe.axis.along(position)
         low, high = np.quantile(along, STRETCH) if len(along) else (0.0, 0.0)
         inner = (along >= low) & (along <= high)
-        distance = np.linalg.norm(self.read("bodies.position")[inner] - places[inner], axis=1)
-        _, tangent = pipe.axis.at(along[inner])
+        places, tangent = pipe.axis.at(along[inner])
+        distance = np.linalg.norm(position[inner] - places, axis=1)
         velocity = np.sum(self.read("bodies.velocity")[inner, :3] * tangent, axis=1)
         volume = self.read("bodies.size")[inner].astype(float) ** 3
         ring = np.minimum((RINGS * distance / pipe.radius).astype(int), RINGS - 1)
@@ -292,3 +297,10 @@ class ElementDisplay(Display):
         if len(position) == 0:
             return np.zeros((2, 3))
         return np.stack([(position[:, :3] - position[:, 3:]).min(0), (position[:, :3] + position[:, 3:]).max(0)])
+
+
+def _places_of(numbers: np.ndarray) -> np.ndarray:
+    """Where each number stands among those from 0 on, of which every one is there once."""
+    places = np.empty(len(numbers), dtype=np.intp)
+    places[numbers] = np.arange(len(numbers))
+    return places

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -43,8 +44,9 @@ class Stations:
         edges = np.array(self.edges)
         return 0.5 * (edges[1:] + edges[:-1])
 
+    @cached_property
     def volumes(self) -> np.ndarray:
-        """[m3]"""
+        """Not to be written to [m3]."""
         return np.array([self.bores.volume(a, b) for a, b in pairwise(self.edges)])
 
     def surfaces(self) -> np.ndarray:

@@ -72,7 +72,7 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     if not np.any(spheres.solid):
         return found
     full = spheres.filled(edges, travel)
-    volumes = stations.volumes()
+    volumes = stations.volumes
     found[:, :2] = _stresses(stations, seen, spheres) / volumes[:, None]
     found[:, 2] = spheres.wall_shear(stations, seen) / stations.surfaces()
     ring = np.minimum((RINGS * spheres.apart / stations.bores.at(spheres.s)).astype(int), RINGS - 1)
@@ -122,12 +122,12 @@ def stresses_along(
     `fills` the pipe (n,), which a plug does not.
     """
     edges, axis = np.array(stations.edges), stations.axis
-    s = axis.projected(centre)[1]
+    s = axis.along(centre)
     t = axis.at(s)[1]
     along = np.einsum("ij,ij->i", stress[:, :3], t**2)
     along += 2 * np.einsum("ij,ij->i", stress[:, 3:], t * np.roll(t, -1, axis=1))
     each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
-    found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes()[:, None]
+    found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
     found[~_between(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
     return found
 
@@ -281,7 +281,7 @@ def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
     Both are positive where contacts push.
     """
     edges, axis = np.array(stations.edges), stations.axis
-    body_s = axis.projected(spheres.middle)[1]
+    body_s = axis.along(spheres.middle)
     i, j, place = pairs_of(seen["pairs.start"], seen["pairs.other"], seen.chunks)
     force = seen["pair pushes"][place]
     acts = np.flatnonzero(force.any(axis=1))
@@ -296,7 +296,7 @@ def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
         here = np.any(arms[:, slot] != 0, axis=1)
         point = spheres.centre[here] + arms[here, slot]
         middle = spheres.middle[spheres.body[here]]
-        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.projected(point)[1], pushes[here, slot],
+        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.along(point), pushes[here, slot],
                               point - middle)  # fmt: skip
     return total
 

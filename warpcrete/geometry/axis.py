@@ -100,6 +100,9 @@ class Axis:
         points, tangents = np.empty((len(s), 3)), np.empty((len(s), 3))
         begin = 0.0
         segments = self.segments()
+        if len(segments) == 1 and isinstance(segments[0]["piece"], Line):
+            tangents[:] = segments[0]["tangent"]
+            return segments[0]["start"] + s[:, None] * tangents, tangents
         for number, segment in enumerate(segments):
             piece = segment["piece"]
             lower = -np.inf if number == 0 else begin

@@ -31,6 +31,8 @@ class ParaViewRecorder(Recorder):
     :class:`WarpcreteError` where h5py is not installed.
     """
 
+    draws_alone = True
+
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         try:
             import h5py  # noqa: F401

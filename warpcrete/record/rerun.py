@@ -43,6 +43,7 @@ class RerunRecorder(Recorder):
     """
 
     rows_alone = True
+    draws_alone = True
 
     def __init__(
         self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
@@ -166,9 +167,13 @@ class RerunRecorder(Recorder):
                 apart = float(np.min(np.diff(places))) if len(places) > 1 else 1.0
                 width = 0.8 * apart / len(found)
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
-                bars = self._rr.BarChart(values, abscissa=middle, widths=np.full(len(middle), width, np.float32),
-                                         color=curve.colour)  # fmt: skip
-                self._log(f"profile/{profile.path}/{curve.name.replace(' ', '_')}", bars)
+                fields: dict[str, Any] = {"values": values}
+                path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
+                if not np.array_equal(self._places.get(path, ()), middle):  # to convert them takes longest
+                    self._places[path] = middle
+                    fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
+                               "color": curve.colour}  # fmt: skip
+                self._log(path, self._rr.BarChart.from_fields(**fields))
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
@@ -210,6 +215,7 @@ class RerunRecorder(Recorder):
                 self._log(f"{plot.path}/{curve.name}", line, static=True)
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:
+        self._later.give_way()
         try:
             self._recording.log(path, what, static=static)
         except RuntimeError as error:
@@ -249,6 +255,7 @@ class RerunRecorder(Recorder):
         self._moving = [(number, wall.name) for number, wall in enumerate(walls) if wall.moves]
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
+        self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
         try:

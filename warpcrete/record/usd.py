@@ -30,6 +30,8 @@ class UsdRecorder(Recorder):
     again.
     """
 
+    draws_alone = True
+
     def __init__(self, path: Path, *, colouring: str | None = None, velocities: bool = True) -> None:
         self.path, self.colouring, self.velocities = path, colouring, velocities
         self._stage: Any = None
