@@ -111,6 +111,15 @@ class RerunRecorder(Recorder):
         """Bodies, moving walls and, if asked for, the network."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
+        if self._legend_due:  # which takes ten times as long to draw as a frame
+            self._legend_due = False
+            self._later.do(self._log_legend)
+
+    def _log_legend(self) -> None:
+        assert self._display is not None
+        picture = legend(self._display)
+        if picture is not None:
+            self._log("legend", self._rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
 
     def _draw(self, time: float, steps: int) -> None:
         rr, display = self._rr, self._display
@@ -205,9 +214,7 @@ class RerunRecorder(Recorder):
             mesh = rr.Mesh3D(vertex_positions=wall.vertices, triangle_indices=wall.faces, albedo_factor=wall.colour)
             self._log(f"{CUT}/{wall.name}", mesh, static=True)
             self._log_pose(self._walls.index(wall.name), f"{CUT}/{wall.name}", static=True)
-        picture = legend(display)
-        if picture is not None:
-            self._log("legend", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
+        self._legend_due = True
         for plot in display.plots():
             for curve in plot.curves:
                 colours = None if curve.colour is None else [list(curve.colour)]
@@ -255,6 +262,7 @@ class RerunRecorder(Recorder):
         self._moving = [(number, wall.name) for number, wall in enumerate(walls) if wall.moves]
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
+        self._legend_due = False
         self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
