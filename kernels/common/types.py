@@ -14,6 +14,12 @@ which costs 10 to 20 ns. On a GPU a task is a thread, with one body."""
 vec8f, vec8d = wp.types.vector(8, wp.float32), wp.types.vector(8, wp.float64)
 
 
+def module_of(name: str, *kind) -> str:
+    """Name of a module for all kernels of one call of a factory, small ones that are wanted together: each module takes
+    a compiler a tenth of a second, however little is in it. `kind` is what the factory was given."""
+    return "_".join(["warpcrete", name, *(getattr(each, "__name__", str(each)) for each in kind)])
+
+
 @functools.cache
 def types(scalar):
     """Vector, matrix and quaternion types of one scalar type (``wp.float32`` or ``wp.float64``)."""

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from ..common.types import types, vector_functions
+from ..common.types import module_of, types, vector_functions
 from .bond_parallel import bond_with, kind_of, load_row
 from .pairs import decode
 from .structs import array_structs
@@ -21,7 +21,7 @@ def bond_kernels(scalar):
     xyz = vector_functions(scalar).xyz
     vec8 = types(scalar).vec8
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("bonding", scalar), enable_backward=False)
     def make(
         kind: wp.int32,
         healing: wp.bool,
@@ -47,7 +47,7 @@ def bond_kernels(scalar):
                         pairs.bond[k] = bond_with(kind, k)
                         pairs.load[k] = vec8()
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("bonding", scalar), enable_backward=False)
     def reassign(
         old_kind: wp.int32,
         new_kind: wp.int32,

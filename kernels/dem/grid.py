@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.types import types
+from ..common.types import module_of, types
 
 FARTHEST = 1.0e9
 """Cells from the origin from which on it does not matter how far a place is; twice that is still a 32-bit number."""
@@ -109,14 +109,14 @@ def grid_kernels(scalar) -> SimpleNamespace:
     cell_at = grid_functions(scalar).cell_at
     vec3 = types(scalar).vec3
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("grid", scalar), enable_backward=False)
     def count(centre: wp.array(dtype=vec3), grid: Grid):
         i = wp.tid()
         cell = cell_at(grid, centre[i])
         grid.cell[i] = cell
         grid.rank[i] = wp.atomic_add(grid.held, cell, 1)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("grid", scalar), enable_backward=False)
     def put(grid: Grid):
         i = wp.tid()
         grid.point[grid.start[grid.cell[i]] + grid.rank[i]] = i

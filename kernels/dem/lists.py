@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import ARRIVED, FAILED, HALTED, STALE
-from ..common.types import SPAN, types, vector_functions
+from ..common.types import SPAN, module_of, types, vector_functions
 from .bond_parallel import bond_with, kind_of, load_row
 from .clock import arrived_function
 from .pairs import ALL_TOUCHED, decode
@@ -119,7 +119,7 @@ def list_kernels(scalar):
     xyz = vector_functions(scalar).xyz
     arrived = arrived_function(scalar)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def centres(
         flags: wp.array2d(dtype=wp.int32), shift: wp.array(dtype=t.vec3), spheres: Spheres,
         centre: wp.array(dtype=t.vec3),
@@ -130,7 +130,7 @@ def list_kernels(scalar):
         if flags[spheres.scene[i], STALE] != 0:
             spheres.built[i] = spheres.position[i]
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def stretch(
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
@@ -157,7 +157,7 @@ def list_kernels(scalar):
                     wp.atomic_max(stretched, i, gap)
                     wp.atomic_max(stretched, j, gap)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def starts(
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
@@ -176,7 +176,7 @@ def list_kernels(scalar):
         if e == begin + scenes.row[s].sphere_count:
             total[s] = scanned[e] - scanned[begin]
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
         """Sum of velocities of some of a scene's spheres.
 
@@ -196,7 +196,7 @@ def list_kernels(scalar):
         taken = wp.max((last - first + stride - 1) / stride, 1)
         lanes[s, lane] = total * (wp.float64(last - first) / wp.float64(taken))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
         """One thread a scene: the lists are as new; go on, unless there is another reason to wait."""
         s = wp.tid()

@@ -6,7 +6,7 @@ import warp as wp
 
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
-from ..common.types import types, vector_functions
+from ..common.types import module_of, types, vector_functions
 from ..common.walls import wall_functions
 from .bond_parallel import HYDRATED, bond_functions, kind_of, load_row
 from .contact_law import contact_functions
@@ -52,14 +52,16 @@ LANES = 256  # partial sums of a column; their order, and so the bits of a sum, 
 
 
 @functools.cache
-def column_kernels(maxima: tuple[int, ...]):
-    """Kernels that add up (or take the maximum of) every column: rows to LANES partial results, then those."""
-    bits = sum(1 << c for c in maxima)
+def column_kernels():
+    """Kernels that add up every column, or take the maximum of those that have a bit in `maxima`: rows to LANES partial
+    results, then those."""
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def partial(values: wp.array2d(dtype=wp.float64), rows: wp.int32, lanes: wp.array2d(dtype=wp.float64)):
+    @wp.kernel(module=module_of("columns"), enable_backward=False)
+    def partial(
+        values: wp.array2d(dtype=wp.float64), rows: wp.int32, maxima: wp.int32, lanes: wp.array2d(dtype=wp.float64)
+    ):
         lane, c = wp.tid()
-        largest = ((wp.static(bits) >> c) & 1) != 0
+        largest = ((maxima >> c) & 1) != 0
         total = wp.float64(0.0)
         for row in range(lane, rows, wp.static(LANES)):
             if largest:
@@ -68,10 +70,10 @@ def column_kernels(maxima: tuple[int, ...]):
                 total += values[row, c]
         lanes[lane, c] = total
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def whole(lanes: wp.array2d(dtype=wp.float64), sums: wp.array(dtype=wp.float64)):
+    @wp.kernel(module=module_of("columns"), enable_backward=False)
+    def whole(lanes: wp.array2d(dtype=wp.float64), maxima: wp.int32, sums: wp.array(dtype=wp.float64)):
         c = wp.tid()
-        largest = ((wp.static(bits) >> c) & 1) != 0
+        largest = ((maxima >> c) & 1) != 0
         total = wp.float64(0.0)
         for lane in range(wp.static(LANES)):
             if largest:

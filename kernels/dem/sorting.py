@@ -5,16 +5,26 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.types import types
+from ..common.types import module_of, types
 from .structs import array_structs, scene_struct
 
 
 @functools.cache
-def permute_kernel(dtype, columns: bool):
-    """target[i] = source[order[i]], or the same for rows of a 2D array; a module of its own for each type."""
-    if columns:
+def permute_kernels(scalar) -> dict:
+    """target[i] = source[order[i]], or the same for rows of a 2D array: by type, and whether it has columns."""
+    t = types(scalar)
+    module = module_of("permuting", scalar)
 
-        @wp.kernel(module="unique", enable_backward=False)
+    def permute(dtype):
+        @wp.kernel(name=f"permute_{dtype.__name__}", module=module, enable_backward=False)
+        def permute(source: wp.array(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array(dtype=dtype)):
+            i = wp.tid()
+            target[i] = source[order[i]]
+
+        return permute
+
+    def permute_rows(dtype):
+        @wp.kernel(name=f"permute_rows_{dtype.__name__}", module=module, enable_backward=False)
         def permute_rows(
             source: wp.array2d(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array2d(dtype=dtype)
         ):
@@ -23,24 +33,17 @@ def permute_kernel(dtype, columns: bool):
 
         return permute_rows
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def permute(source: wp.array(dtype=dtype), order: wp.array(dtype=wp.int32), target: wp.array(dtype=dtype)):
-        i = wp.tid()
-        target[i] = source[order[i]]
-
-    return permute
-
-
-@wp.kernel(enable_backward=False)
-def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
-    """inverse[order[i]] = i"""
-    i = wp.tid()
-    inverse[order[i]] = i
+    found = {(dtype, False): permute(dtype) for dtype in (
+        wp.int32, wp.float64, wp.vec2i, *{scalar} - {wp.float64}, t.vec3, t.vec4, t.quat,
+    )}  # fmt: skip
+    rows = dict.fromkeys((wp.int32, scalar, t.vec3, wp.vec3d))
+    return found | {(dtype, True): permute_rows(dtype) for dtype in rows}
 
 
 @functools.cache
 def order_kernels(scalar):
-    """Kernels that re-sort bodies and their spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``.
+    """Kernels that re-sort bodies and their spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``,
+    ``invert``.
 
     Scenes keep their rows; inside those of a scene to be sorted (`sort[s]`) bodies follow the Morton code of their
     cell, in the others they stay.
@@ -54,7 +57,7 @@ def order_kernels(scalar):
     def cell_of(scene: SceneRow, x: t.vec3, c: wp.int32):
         return wp.int32(wp.floor(x[c] / (scalar(2.0) * scene.largest_radius + scene.skin)))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def corner(scenes: Scenes, bodies: Bodies, lowest: wp.array2d(dtype=wp.int32)):
         """Lowest cell of each scene in each direction."""
         b = wp.tid()
@@ -64,7 +67,7 @@ def order_kernels(scalar):
             if index < lowest[s, c]:
                 wp.atomic_min(lowest, s, c, index)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def keys(
         # state, read
         scenes: Scenes,
@@ -89,14 +92,14 @@ def order_kernels(scalar):
         key[b] = (wp.int64(s) << wp.int64(30)) | wp.int64(code)
         value[b] = b
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def counts(bodies: Bodies, order: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)):
         """Spheres of the body that comes to place i."""
         i = wp.tid()
         s = bodies.scene[i]
         count[i] = bodies.first[order[i] + s + 1] - bodies.first[order[i] + s]
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def place_spheres(
         # read
         scenes: Scenes,
@@ -119,4 +122,10 @@ def order_kernels(scalar):
         if i + 1 == scenes.row[s].bodies + scenes.row[s].body_count:
             bodies.first[i + s + 1] = new_start[i + 1] - base
 
-    return SimpleNamespace(corner=corner, keys=keys, counts=counts, place_spheres=place_spheres)
+    @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
+    def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
+        """inverse[order[i]] = i"""
+        i = wp.tid()
+        inverse[order[i]] = i
+
+    return SimpleNamespace(corner=corner, keys=keys, counts=counts, place_spheres=place_spheres, invert=invert)

@@ -32,8 +32,7 @@ def _others(batch: Batch) -> list[Any]:
         probes.body_probe(scalar),
         probes.wall_probe(scalar),
         probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
-        *probes.column_kernels(probes.BODY_MAXIMA),
-        *probes.column_kernels(probes.CONTACT_MAXIMA),
+        *probes.column_kernels(),
     ]
     if f.bonds:
         found += bond_kernels(scalar)

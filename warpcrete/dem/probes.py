@@ -165,10 +165,11 @@ def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[
     """Stages for the sum (or maximum) of every column, added in an order that depends on the number of rows only."""
     columns = values.shape[1]
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
-    partial, whole = column.column_kernels(maxima)
+    partial, whole = column.column_kernels()
+    bits = sum(1 << c for c in maxima)
     return [
-        scene_stage(state, partial, (column.LANES, columns), values=values, rows=rows, lanes=lanes),
-        scene_stage(state, whole, columns, lanes=lanes, sums=_sums(state, what, columns)),
+        scene_stage(state, partial, (column.LANES, columns), values=values, rows=rows, maxima=bits, lanes=lanes),
+        scene_stage(state, whole, columns, lanes=lanes, maxima=bits, sums=_sums(state, what, columns)),
     ]
 
 

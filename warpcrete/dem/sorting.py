@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.launching import launch
-from ..kernels.dem.sorting import invert, order_kernels, permute_kernel
+from ..kernels.dem.sorting import order_kernels, permute_kernels
 from .batch import Batch
 from .state import OF_BATCH
 
@@ -23,7 +23,7 @@ SORTED = {
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: wp.array) -> None:
     """Re-order the bodies of scenes that are `due`, (scenes,); notes the old place of each sphere in the new order, and
     the reverse, both of shape (spheres,)."""
-    b, device, kernels = batch, batch.device, order_kernels(batch.scalar)
+    b, device, kernels, permute = batch, batch.device, order_kernels(batch.scalar), permute_kernels(batch.scalar)
     bodies = b.body_count
     key = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
     order = wp.zeros(2 * bodies, dtype=wp.int32, device=device)
@@ -43,10 +43,10 @@ def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: w
         kernels.place_spheres, bodies, device, scenes=b.scenes, order=order, old_first=wp.clone(b.bodies.first),
         new_start=start, bodies=b.bodies, spheres=b.spheres, old_place=old_place,
     )  # fmt: skip
-    launch(invert, b.sphere_count, device, order=old_place, inverse=new_place)
+    launch(kernels.invert, b.sphere_count, device, order=old_place, inverse=new_place)
     for struct in SORTED:
         for array in _moved(b, struct):
-            kernel, by = permute_kernel(array.dtype, array.ndim == 2), order if struct == "bodies" else old_place
+            kernel, by = permute[array.dtype, array.ndim == 2], order if struct == "bodies" else old_place
             launch(kernel, array.shape, device, source=wp.clone(array), order=by, target=array)
     b.split()
 
@@ -55,7 +55,7 @@ def sorting_kernels(batch: Batch) -> list[Any]:
     """Kernels of all that it launches."""
     order = vars(order_kernels(batch.scalar)).values() if batch.body_count > 1 else ()
     moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in _moved(batch, struct)}
-    return [invert, *order, *(permute_kernel(*kind) for kind in moved)]
+    return [*order, *(permute_kernels(batch.scalar)[kind] for kind in moved)]
 
 
 def _moved(batch: Batch, struct: str) -> list[wp.array]:
