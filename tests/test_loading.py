@@ -28,7 +28,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
         load_one(module, device, block)
 
     def load_module(self, device, block_dim=None, *arguments, **named):
-        if "kernel" in self.name:
+        if "kernel" in self.name or self.name.startswith("warpcrete_"):
             apart.append((self.name, id(self), block_dim))
         return load_any(self, device, block_dim, *arguments, **named)
 
@@ -37,7 +37,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     monkeypatch.setattr(warp._src.context.Module, "load", load_module)
     scene = scenes.pipe(shapes=shapes, hydration=0.1, hydration_modulus=2e6, **SMALL | dict(travel=0.002, settle=0.01))
     Simulation(scene, device=device).run()
-    assert len(together) > 30
+    assert len(together) > 25
     assert not [name for name, module, block in apart if (module, block) not in together], apart
 
 
