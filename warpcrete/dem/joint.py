@@ -22,6 +22,9 @@ from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
+FULL = 0.9
+"""Of its room, from which on a scene is given more when another of the batch needs some: all that a batch has recorded
+is made anew each time."""
 
 
 class JointArrays:
@@ -223,6 +226,8 @@ class JointArrays:
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
         """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
+        if not np.any(wanted > self.capacity):
+            return
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
         if self.features.healing and np.any(wanted > MOST_ROWS):
             raise CapacityError(f"bonds = {wanted.max()} listed pairs that may bond: at most {MOST_ROWS} in one scene")
@@ -234,8 +239,10 @@ class JointArrays:
             carry_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Room for the loads of at least so many bonds of a scene."""
-        each = self.load_capacity.copy()
+        """Room for the loads of at least so many bonds of a scene; and, since they will bond, too, of those that have
+        not yet for as many by their size."""
+        spheres = self.rows["sphere_count"].astype(np.int64)
+        each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
         each[s] = wanted
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
@@ -244,8 +251,10 @@ class JointArrays:
         self._regrow("candidates", ["face"], self.face_capacity, wanted)
 
     def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
+        if not np.any(wanted > capacity):
+            return
         old = np.concatenate([[0], np.cumsum(capacity)])
-        grown = wanted > capacity
+        grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
         new = np.concatenate([[0], np.cumsum(capacity)])
         # What a GPU's links give, each two entries, has four rows at most.

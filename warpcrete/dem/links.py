@@ -43,7 +43,10 @@ def make_links(batch: Any) -> Any:
         setattr(links, name, made)
     if batch.parallel:
         links.link.fill_(-1)
-        links.scene.assign(np.repeat(np.arange(batch.count, dtype=np.int32), batch.capacity // 2))
+        first = np.append(0, np.cumsum(batch.capacity // 2)).tolist()
+        for s in range(1, batch.count):
+            if first[s] < first[s + 1]:
+                links.scene[first[s] : first[s + 1]].fill_(s)
         links.outrun.fill_(1)  # near links are chosen when lists have been built
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links

@@ -157,7 +157,7 @@ class NeighborLists:
             self._run(launches, self._search_all)
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
-            b.reserve_pairs(wanted)
+            b.reserve_pairs(np.maximum(wanted, self._entries))
             self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
             launches = self._launches(sort)
         self._entries[stale] = wanted[stale]
