@@ -79,6 +79,7 @@ class RerunRecorder(Recorder):
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
+        self._places = dict(state["places"])
         if self.live:
             self._describe(display)
 
@@ -89,7 +90,7 @@ class RerunRecorder(Recorder):
             self._flush()
             self._parts += 1
             self._recording.set_sinks(*self._sinks())
-        return {"recording_id": self._id, "parts": self._parts}
+        return {"recording_id": self._id, "parts": self._parts, "places": self._places}
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Curves at one row."""
