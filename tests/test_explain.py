@@ -37,7 +37,7 @@ OTHERS = {"vertical": {}, "bend": dict(unit="D", elbow_radius=0.3),
 @pytest.mark.thorough
 @pytest.mark.parametrize("changes", OTHERS.values(), ids=OTHERS)
 def test_what_is_foretold_of_elements_is_what_a_run_has(device, changes):
-    """Measured with one seed each: spheres 0.98 to 0.99, step 0.92 to 1.05, memory 0.97 to 0.98 of the run's on a CPU;
+    """Measured with one seed each: spheres 0.98 to 0.99, step 0.92 to 1.05, memory 0.97 to 0.99 of the run's on a CPU;
     steps of clumps up to 17 % off on an H200."""
     scene = scenes.pipe(**SMALL | changes)
     told = explain(scene, device=device, threads=1, cache=False).forecast

@@ -17,7 +17,7 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
-BONDED = 3  # pairs a sphere that are bonded, in a dense packing
+BONDED = 4  # pairs a sphere that are bonded, in a dense packing, room for growth included
 LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
 
 
