@@ -14,11 +14,12 @@ from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError
 from warpcrete.dem import bonding, joint
+from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.bonding import bond_rows
 from warpcrete.dem.model import build_model
 from warpcrete.dem.probes import listed_pairs
 from warpcrete.dem.state import State
-from warpcrete.dem.stepper import steppers_of
+from warpcrete.dem.stepper import Stepper, steppers_of
 
 WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
 
@@ -163,3 +164,21 @@ def test_room_is_given_to_all_scenes_that_will_want_it_soon(device, way):
             stepper.take(50)
         ends = [pair_history(stepper.state) for stepper in steppers]
         assert ends[0] == ends[1] == ends[2] != held[0]
+
+
+@WAYS
+def test_a_pair_that_is_let_go_of_bonds_again_without_load(device, way):
+    """As at t = 0, when bonds that healed while settling are let go of: those that do not touch then may later."""
+    with nullcontext() if device.startswith("cuda") else way():
+        bonds = strong(healing=True)
+        scene = two_spheres(gap=1e-6, velocity=(0.01, 0.0, 0.0), bonds=bonds, dt=1e-6)
+        model = build_model(scene, find_device(device), "float64")
+        stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
+        stepper.choose_dt()
+        stepper.bond(dataclasses.replace(bonds, gap=1e-5), 1)
+        stepper.take(10)
+        pairs = stepper.state.pairs
+        assert np.any(bonds_of(stepper.state)[1])
+        pairs.bond.assign(np.zeros_like(pairs.bond.numpy()))
+        stepper.rebuild()
+        assert len(pair_history(stepper.state)) == 1 and not np.any(pairs.load.numpy())

@@ -269,3 +269,11 @@ def test_recorders_give_way_on_a_gpu_alone():
         device = SimpleNamespace(is_cuda=cuda)
         later = Later.of(SimpleNamespace(device=device, shares_cores=False, threads=0))
         assert later.beside and later._gives_way is cuda
+
+
+def test_a_run_that_goes_on_does_not_keep_the_recorders_of_another_that_waits():
+    with turns.waiting():
+        with turns.waiting():
+            assert turns._waits.is_set()
+        assert turns._waits.is_set()
+    assert not turns._waits.is_set()

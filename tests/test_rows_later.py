@@ -88,6 +88,26 @@ def test_frames_are_taken_before_a_run_goes_on(monkeypatch):
     assert rows == others and taken[0][1] == taken[1][1]
 
 
+def test_a_frame_that_fails_does_not_cost_the_row_of_its_moment(monkeypatch):
+    monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
+
+    class Full(Frames):
+        draws_alone = True
+
+        def frame(self, simulation):
+            super().frame(simulation)
+            if simulation.sampled[0] > 0.01:
+                raise OSError("no space left")
+
+    recorder = Full()
+    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=2e-3)
+    with pytest.raises(OSError, match="no space left"):
+        simulation.run()
+    *_, (_, time, *_), (last, *_) = recorder.rows
+    assert time == last == simulation.rows[-1]["time"] == simulation.stepper.time > 0.01
+
+
 @pytest.mark.parametrize("recorder", [RerunRecorder, UsdRecorder, ParaViewRecorder])
 def test_what_is_drawn_does_not_hang_on_rows(recorder, monkeypatch, tmp_path):
     scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)

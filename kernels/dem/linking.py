@@ -93,7 +93,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at."""
+        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at. Twins
+        are told of the bond of their pair."""
         i = wp.tid() / lanes
         s = spheres.scene[i]
         if flags[s, STALE] == 0:

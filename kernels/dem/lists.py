@@ -97,12 +97,11 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                         if old >= 0:
                             bond = old_pairs.bond[old]
                         if wp.static(healing):
-                            load = t.vec8()
-                            if old >= 0:
-                                load = old_pairs.load[old]
-                            pairs.load[k] = load
+                            load = t.vec8()  # of what is not bonded now nothing is left, should it bond again
                             if bond > 0:
+                                load = old_pairs.load[old]
                                 bond = bond_with(kind_of(bond), k - row)
+                            pairs.load[k] = load
                         elif wp.static(half):
                             bond = row_of_entry(scenes, pairs, s, bond, entry >= 0 or (j >= first and j < last))
                         pairs.bond[k] = bond

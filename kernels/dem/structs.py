@@ -140,7 +140,7 @@ def array_structs(scalar) -> SimpleNamespace:
         rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
         bond: wp.array(dtype=wp.int32)  # its kind and row as of `bond_parallel`, 0 for none, below 0 broken, (pairs,)
         load: wp.array(dtype=t.vec8)  # of each bond: shear vector and tension [N], bending vector and torsion [N m],
-        # shape (bonds,), where contacts heal (pairs,); one row, since a GPU moves 32 bytes or none
+        # shape (rows,), see `warpcrete/dem/bonding.py`; one row each, since a GPU moves 32 bytes or none
 
     @wp.struct
     class Candidates:

@@ -109,8 +109,9 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
     @wp.func
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
-        """Bring an entry of the list up to date, whose bond has held until this step."""
-        pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
+        """Bring an entry of the list up to date."""
+        if pairs.bond[k] > 0:
+            pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
         if subcycled.held.bond[p] <= 0:
             pairs.bond[k] = subcycled.held.bond[p]
         if wp.static(history):

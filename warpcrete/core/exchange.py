@@ -47,7 +47,8 @@ class Exchange:
         done = self.device.stream.record_event()
 
         def wait() -> list[np.ndarray]:
-            wp.synchronize_event(done)
+            with waiting():
+                wp.synchronize_event(done)
             return [view.copy() for _, view in beside]
 
         return wait
@@ -89,7 +90,8 @@ class Exchange:
         self._under_way.add(key)
 
     def _wait(self) -> None:
-        wp.synchronize_stream(self.device.stream)
+        with waiting():
+            wp.synchronize_stream(self.device.stream)
         self._under_way.clear()
 
     def _beside(self, use: str, array: wp.array) -> tuple[wp.array, np.ndarray]:

@@ -17,8 +17,8 @@ MOST = 8
 class Later:
     """Does jobs one after the other. What one fails with is raised by every call from then on, and no other is done.
 
-    Without `beside` each is done at once, by who asks. A thread that `gives_way` works while the run waits for its
-    device.
+    Without `beside` each is done at once, by who asks. A thread that `gives_way` lets the run go first:
+    see :mod:`.turns`.
     """
 
     def __init__(self, beside: bool, gives_way: bool = False) -> None:

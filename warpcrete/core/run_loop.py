@@ -52,7 +52,8 @@ class Recorder:
     """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
     class that defines `sample` says so."""
     draws_alone: ClassVar[bool] = False
-    """Its `frame` draws by the display, and reads no row: that of this moment may come later. Likewise of `frame`."""
+    """Its `frame` draws by the display, and reads no row: that of this moment may come later. The class that defines
+    `frame` says so."""
 
     def start(self, simulation: Any) -> None:
         """The run is about to begin."""
@@ -360,9 +361,9 @@ class Simulation:
             self._complete()  # where no step had to be taken
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
             if number < samples and self._goes_on():
+                self._left = number / samples
                 if self._frame_is_due():
                     self._frame()
-                self._left = number / samples
                 stepper.meanwhile = self._complete
                 continue
             row = self._sample()

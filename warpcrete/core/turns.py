@@ -14,16 +14,24 @@ PATIENCE = 5e-3
 """For how long a recorder gives way at a time [s]: a run that never waits must not keep it from its work."""
 
 _waits = threading.Event()
+_counting, _waiting = threading.Lock(), 0
+"""Runs of this process that wait: one that goes on must not keep the recorders of another."""
 
 
 @contextmanager
 def waiting() -> Iterator[None]:
     """A run waits for its device, or for its recorders, until the end of the context."""
-    _waits.set()
+    global _waiting
+    with _counting:
+        _waiting += 1
+        _waits.set()
     try:
         yield
     finally:
-        _waits.clear()
+        with _counting:
+            _waiting -= 1
+            if _waiting == 0:
+                _waits.clear()
 
 
 def give_way() -> None:

@@ -70,6 +70,7 @@ def _number(state: State, before: np.ndarray) -> None:
     apart = 2 if state.model.features.half_list else 1
     count = apart * len(place)
     if count > MOST_ROWS:
+        state.pairs.bond.assign(before)
         raise CapacityError(f"bonds = {len(place)}: at most {MOST_ROWS // apart} can be numbered in one scene")
     row = apart * np.arange(len(place), dtype=bond.dtype)
     load = np.zeros((count, 8), dtype=state.pairs.load.numpy().dtype)

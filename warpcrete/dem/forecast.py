@@ -166,7 +166,7 @@ class _Copy:
         self._built = (int(stepper.lists.builds[stepper.index]) - begun_builds) / max(stepper.steps - first, 1)
         self.contacts = round(simulation.rows[-1].get("contacts", 0.0))
         self.memory = _memory(simulation)
-        if self.scene.settle is not None and simulation.model.features.bonds and not simulation.model.features.healing:
+        if self.scene.settle and self.scene.bonds and not simulation.model.features.healing:
             load = simulation.state.pairs.load
             self.memory["contacts"] += (SETTLED_BONDS - 1) * load.size * wp.types.type_size_in_bytes(load.dtype)
 

@@ -256,6 +256,8 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
+        if struct == "pairs" and self.features.healing:  # each entry is the row of a load, of which so many can be told
+            np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
         # What a GPU's links give, each two entries, has four rows at most.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES

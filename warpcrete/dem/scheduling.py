@@ -17,6 +17,7 @@ from ..core.errors import CapacityError
 from ..core.interrupts import put_off
 from ..core.launching import at_once
 from ..core.run_loop import Coroutine
+from ..core.turns import waiting
 from .rebuilding import DeviceRebuild
 from .regrouping import Regrouping
 from .stages import step_stages
@@ -231,7 +232,8 @@ def drive_abreast(
             launched = [one for one in under_way if one.waiting]
             ready = [one for one in launched if len(launched) == 1 or one.settled]
             if not ready:
-                time.sleep(BETWEEN_LOOKS)
+                with waiting():
+                    time.sleep(BETWEEN_LOOKS)
             each(_Drive.look, ready)
             launched = [one for one in launched if one not in ready]
         except KeyboardInterrupt as interruption:

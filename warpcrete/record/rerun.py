@@ -79,7 +79,8 @@ class RerunRecorder(Recorder):
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        self._places = dict(state["places"])
+        if not self.live:  # a viewer that is opened now has been told nothing yet
+            self._places = dict(state["places"])
         if self.live:
             self._describe(display)
 
