@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from source_hash import RECORD, source_hash
 
-from warpcrete.core.device import find_device, quiet_init
+from warpcrete.core.device import find_device, quiet_init, share_out_like_a_gpu
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.bonding import bond_kinds, bond_rows
 from warpcrete.dem.model import build_model
@@ -39,6 +39,13 @@ def devices() -> list[str]:
 @pytest.fixture(params=devices())
 def device(request) -> str:
     return request.param
+
+
+@pytest.fixture
+def like_a_gpu():
+    """Work is shared out as on a GPU, whatever the device."""
+    with share_out_like_a_gpu():
+        yield
 
 
 @pytest.fixture

@@ -13,6 +13,9 @@ from warpcrete.geometry.axis import Axis, Line
 SMALL = dict(
     diameter=0.08, length=0.16, travel=0.08, ramp=0.03, elbow_radius=0.15, settle=0.5, size_min=6e-3, size_max=16e-3
 )
+TINY = dict(
+    length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
+)
 
 
 def command(*arguments, timeout=300, **options):

@@ -1,23 +1,13 @@
 """Lists that a GPU builds by itself, as far as a CPU can do it."""
 
 import pytest
+from pumping import TINY
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import share_out_like_a_gpu
 from warpcrete.dem import rebuilding
 from warpcrete.dem.ahead import WAIT
 
-pytestmark = pytest.mark.thorough
-
-SMALL = dict(
-    length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
-)
-
-
-@pytest.fixture(autouse=True)
-def like_a_gpu():
-    with share_out_like_a_gpu():
-        yield
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("like_a_gpu")]
 
 
 @pytest.mark.parametrize(
@@ -25,7 +15,7 @@ def like_a_gpu():
 )
 def test_the_device_builds_lists_as_the_host_would(monkeypatch, more):
     """And leaves it to the host where there is no room for them."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03) | more)
+    scene = scenes.pipe(**TINY | dict(travel=0.03) | more)
     found = {}
     for way in ("device", "no room", "host"):
         if way == "no room":
@@ -44,7 +34,7 @@ def test_the_device_builds_lists_as_the_host_would(monkeypatch, more):
 
 def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists():
     """Without estimates it looks after them every twenty steps."""
-    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu")
     simulation.prepare()
     stepper = simulation.stepper
     launched, launch = [], stepper.batch.ahead.pieces
@@ -57,11 +47,11 @@ def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists():
 
 
 def test_a_device_has_cells_for_a_scene_that_came_with_its_lists(tmp_path):
-    simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
+    simulation = Simulation(scenes.pipe(**TINY), device="cpu")
     simulation.prepare()
     simulation.stepper.take(5)
     simulation.save(tmp_path / "a.npz")
-    other = Simulation(scenes.pipe(**SMALL), device="cpu")
+    other = Simulation(scenes.pipe(**TINY), device="cpu")
     other.resume(tmp_path / "a.npz")
     other.stepper.take(1)
     assert other.stepper.batch.ahead.rebuilds_itself and other.stepper.lists._cells._dims.prod() > 30

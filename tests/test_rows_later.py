@@ -4,29 +4,19 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pumping import TINY
 from test_recording_later import contents
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.run_loop import Recorder, _says
+from warpcrete.core.recorder import Recorder, says
 from warpcrete.dem.batch import Batch
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
 
-pytestmark = pytest.mark.thorough
-
-SMALL = dict(
-    length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3, plug="plate"
-)
-
-
-@pytest.fixture(autouse=True)
-def like_a_gpu():
-    with share_out_like_a_gpu():
-        yield
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("like_a_gpu")]
 
 
 class Rows(Recorder):
@@ -43,7 +33,7 @@ class Rows(Recorder):
 
 def test_rows_are_completed_while_steps_go_on(monkeypatch):
     """The same rows, in the same order; where a look for a blockage is due none is left for later."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     begun, begin = [], ElementSimulation.begin_measure
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
     runs, rows = [], []
@@ -70,7 +60,7 @@ class Frames(Rows):
 
 def test_frames_are_taken_before_a_run_goes_on(monkeypatch):
     """At the moments at which they would be otherwise, though the row of that moment is not complete."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     begun, begin = [], ElementSimulation.begin_measure
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
     taken = []
@@ -100,7 +90,7 @@ def test_a_frame_that_fails_does_not_cost_the_row_of_its_moment(monkeypatch):
                 raise OSError("no space left")
 
     recorder = Full()
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=2e-3)
     with pytest.raises(OSError, match="no space left"):
         simulation.run()
@@ -110,7 +100,7 @@ def test_a_frame_that_fails_does_not_cost_the_row_of_its_moment(monkeypatch):
 
 @pytest.mark.parametrize("recorder", [RerunRecorder, UsdRecorder, ParaViewRecorder])
 def test_what_is_drawn_does_not_hang_on_rows(recorder, monkeypatch, tmp_path):
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     found = []
     for alone in (True, False):
         monkeypatch.setattr(recorder, "draws_alone", alone)
@@ -125,7 +115,7 @@ def test_what_is_drawn_does_not_hang_on_rows(recorder, monkeypatch, tmp_path):
 
 def test_what_a_row_completed_later_complains_of_ends_the_run(monkeypatch):
     """And it keeps that row."""
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
     watched, watch = [], ElementSimulation.watch_row
 
@@ -144,7 +134,7 @@ def test_what_a_row_completed_later_complains_of_ends_the_run(monkeypatch):
 
 
 def test_an_interrupted_run_completes_the_row_that_it_began(monkeypatch):
-    scene = scenes.pipe(**SMALL | dict(travel=0.03), sample_interval=1e-3)
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: self.sampler.begin() or True)
     launched, launch = [], Batch.launch
 
@@ -188,7 +178,7 @@ def test_a_row_that_fails_after_an_interruption_does_not_cost_the_outputs(monkey
 
     monkeypatch.setattr(Batch, "launch", interrupted)
     recorder = Broken()
-    scene = scenes.pipe(**SMALL, sample_interval=1e-3)
+    scene = scenes.pipe(**TINY, sample_interval=1e-3)
     simulation = Simulation(scene, device="cpu", recorders=[recorder], frame_interval=1.0)
     with pytest.raises(ValueError, match="no such row"):
         simulation.run()
@@ -197,7 +187,7 @@ def test_a_row_that_fails_after_an_interruption_does_not_cost_the_outputs(monkey
 
 def test_rows_that_no_step_lies_between_are_all_there(monkeypatch):
     """Samples closer than steps: each has its row, whether it was left for later or not."""
-    scene = dataclasses.replace(scenes.pipe(**SMALL), duration=1e-3, sample_interval=1e-5)
+    scene = dataclasses.replace(scenes.pipe(**TINY), duration=1e-3, sample_interval=1e-5)
     rows = []
     for later in (True, False):
         recorder = Rows()
@@ -215,5 +205,5 @@ def test_a_recorder_that_reads_the_state_is_not_left_for_later():
         def sample(self, simulation, row):
             super().sample(simulation, row)
 
-    told = [_says(kind, "sample", "rows_alone") for kind in (Recorder, Rows, Reading)]
+    told = [says(kind, "sample", "rows_alone") for kind in (Recorder, Rows, Reading)]
     assert told == [True, True, False]

@@ -22,6 +22,7 @@ from .errors import InstabilityError, RunFolderError, WarpcreteError, between, r
 from .frames import Frames
 from .launching import telling
 from .progress import ProgressBar
+from .recorder import Recorder, says
 from .run import Run
 
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -40,46 +41,6 @@ Coroutine = Generator[Any, None, Any]
 """A run, or a part of one, that says at each `yield` where it wants to be and goes on when it is there.
 
 So whoever drives it may take the steps of many runs together."""
-
-
-class Recorder:
-    """Where a run goes; subclasses override what they need.
-
-    Methods are called in this order; `finish` also after an interruption or an error.
-    """
-
-    rows_alone: ClassVar[bool] = False
-    """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
-    class that defines `sample` says so."""
-    draws_alone: ClassVar[bool] = False
-    """Its `frame` draws by the display, and reads no row: that of this moment may come later. The class that defines
-    `frame` says so."""
-
-    def start(self, simulation: Any) -> None:
-        """The run is about to begin."""
-
-    def resume(self, simulation: Any, state: dict[str, Any]) -> None:
-        """Instead of `start`, when a run goes on from the checkpoint at which `checkpoint` returned `state`.
-
-        Whatever was recorded after it must go.
-        """
-        self.start(simulation)
-
-    def sample(self, simulation: Any, row: dict[str, float]) -> None:
-        """A row of the series."""
-
-    def frame(self, simulation: Any) -> None:
-        """A picture is due."""
-
-    def checkpoint(self, simulation: Any) -> dict[str, Any]:
-        """Put on disk what is there so far; returns what `resume` will need."""
-        return {}
-
-    def finish(self, simulation: Any, run: Run) -> None:
-        """The run has ended: put everything on disk. The last recorder finishes first."""
-
-    def tidy(self, simulation: Any, run: Run) -> None:
-        """The run is complete and its checkpoint gone: what only a resumed run needs may go."""
 
 
 S = TypeVar("S", bound="Simulation")
@@ -383,8 +344,8 @@ class Simulation:
         kinds = [type(recorder) for recorder in self.recorders]
         return (
             not self.stop_requested
-            and all(_says(kind, "sample", "rows_alone") for kind in kinds)
-            and not (self._frame_is_due() and not all(_says(kind, "frame", "draws_alone") for kind in kinds))
+            and all(says(kind, "sample", "rows_alone") for kind in kinds)
+            and not (self._frame_is_due() and not all(says(kind, "frame", "draws_alone") for kind in kinds))
             and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
             and self.begin_measure()
         )
@@ -444,12 +405,6 @@ def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
                 goal = next(coroutine)
     except StopIteration as end:
         return end.value
-
-
-def _says(kind: type[Recorder], method: str, name: str) -> bool:
-    """Whether the class that has a method of recorders of this kind says something of it; what does nothing does."""
-    owner = next(each for each in kind.__mro__ if method in vars(each))
-    return owner is Recorder or bool(vars(owner).get(name, False))
 
 
 def _kind(recorder: Recorder) -> str:
