@@ -356,7 +356,7 @@ def test_lists_may_be_built_at_any_time(scene, bonds, way, monkeypatch):
     """Those of any scene of a batch or one alone, at any look, are as good as those of one that is stale: meshes, bonds
     that heal or break in rounds, bodies sorted on the way. Only so may scenes of a batch have theirs built together."""
     some = [scene(part) for part in (0, 1, 2)]
-    monkeypatch.setattr(stepper, "SORT_EVERY", {"cpu": 100, "cuda": 100})
+    monkeypatch.setattr(stepper, "SORT_EVERY", dict.fromkeys(stepper.SORT_EVERY, 100))
     built, due = [], Ahead.due
     with way():
         ones = alone("cpu", some)

@@ -187,11 +187,11 @@ def test_what_the_host_writes_and_reads_is_the_same(device):
     small = wp.zeros((3, 2), dtype=wp.float64, device=device)
     whole = wp.zeros(5, dtype=wp.int32, device=device)
     for value in range(4):  # nothing waits for what was written in the turn before
-        exchange.write(small, np.full((3, 2), value))
-        exchange.write(whole, np.arange(5) + value)
+        exchange.write((small, np.full((3, 2), value)))
+        exchange.write((whole, np.arange(5) + value))
     a, b = exchange.read(small, whole)
     assert a.tolist() == [[3.0, 3.0]] * 3 and b.tolist() == [3, 4, 5, 6, 7]
-    exchange.write(small, np.zeros((3, 2)))
+    exchange.write((small, np.zeros((3, 2))))
     assert a[0, 0] == 3.0  # a copy
     assert not exchange.read(small)[0].any()
 
@@ -204,7 +204,7 @@ def test_what_was_asked_for_is_there_however_much_else_is_read(device, monkeypat
     for count in range(len(others)):
         exchange.read(*others[:count])
         exchange.ask(a, b)
-        exchange.write(others[0], np.full(others[0].shape, 7))
+        exchange.write((others[0], np.full(others[0].shape, 7)))
         answer = exchange.answer()
         assert exchange.answered and [each.tolist() for each in answer] == [[0] * 4, [1] * 5]
 

@@ -16,7 +16,16 @@ from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.packing import pack
 from warpcrete.dem.pictures import plot_stations
 from warpcrete.dem.scene import Bodies, Scene, Stations
-from warpcrete.dem.stations import COLUMNS, FINEST, body_stresses, losses, measured, stresses_along
+from warpcrete.dem.stations import (
+    COLUMNS,
+    FINEST,
+    FRONT,
+    _front,
+    body_stresses,
+    losses,
+    measured,
+    stresses_along,
+)
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import through
@@ -163,8 +172,8 @@ def along(stations, simulation):
     """Stresses along a pipe by those of its bodies, shape (slices, 2) [Pa]."""
     bodies, unit = simulation.state.bodies, 0.1
     stress = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
-    centre, size = bodies.position.numpy().astype(float), bodies.size.numpy().astype(float)
-    return stresses_along(stations, stress, centre, size, bodies.group.numpy() == 0, 0.0)
+    s, size = stations.axis.along(bodies.position.numpy()), bodies.size.numpy().astype(float)
+    return stresses_along(stations, stress, s, stations.axis.at(s)[1], size, bodies.group.numpy() == 0, 0.0)
 
 
 def test_stress_of_two_bodies_that_touch(device):
@@ -448,3 +457,22 @@ def test_shapes_from_files_are_written_down_whole(monkeypatch, tmp_path):
     trimesh.creation.icosphere(2).export("stone.stl")
     scene = scenes.part_dem(**SMALL | COURSES["straight"] | {"shapes": "stone.stl"})
     assert scene.parameters["shapes"] == str(tmp_path / "stone.stl"), "to be found from elsewhere, too"
+
+
+def test_the_front_is_looked_for_among_the_farthest():
+    """As among all, also where what lies far counts for nothing or for nearly all."""
+    rng = np.random.default_rng(3)
+    s, plain = rng.random(500), rng.random(500) + 0.5
+    for volume in (
+        plain,
+        np.where(s > 0.8, 0.0, plain),
+        np.where(s > 0.5, 1e3 * plain, plain),
+        np.where(s < 0.9, 0, plain),
+    ):
+        for few in (3, 500):
+            order = np.argsort(s[:few])
+            total = np.cumsum(volume[:few][order])
+            for part in (0.02, 0.5, FRONT):
+                behind = part * total[-1]
+                exact = s[:few][order][np.searchsorted(total, behind)]
+                assert _front(s[:few], volume[:few], behind) == exact

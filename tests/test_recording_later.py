@@ -12,6 +12,7 @@ from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.core import moments, turns
+from warpcrete.core.display import Display
 from warpcrete.core.later import MOST, Later
 from warpcrete.core.moments import Arriving, Pool, moment_of
 from warpcrete.record.paraview import ParaViewRecorder
@@ -131,11 +132,50 @@ def test_a_moment_stays_as_it_was_and_its_memory_is_used_again(device):
     last = moment_of(run, {"a": lambda: array})
     assert np.all(last.read("a") == 2)  # of the same moment: not read again
     if array.device.is_cuda:
-        used = taken[0].found["a"]._copies["a"].ptr
+        used = {moment.found["a"]._beside for moment in taken}
         del moment, taken
-        run.stepper.steps = 3
-        again = moment_of(run, {"a": lambda: array}).found["a"]
-        assert again._copies["a"].ptr == used and np.all(again["a"] == -1)
+        for steps in range(3, 9):  # the copies are a graph now
+            run.stepper.steps = steps
+            array.fill_(float(steps))
+            again = moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}).found["a"]
+            assert again._beside in used and np.all(again["a"] == steps)
+        array = wp.full((7, 3), -1.0, dtype=wp.float32, device=device)  # lists have become others
+        run.stepper.steps = 9
+        other = moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps})
+        assert other.found["a"]._beside not in used and np.all(other.read("a") == -1)
+
+
+def test_what_is_worked_out_of_a_moment_is_that_of_all_who_draw_it(device):
+    """Once a moment, whoever asks first; of what is drawn at once each time."""
+
+    class Bare(Display):
+        colourings = ("plain",)
+        centres = colours = plots = radii = walls = bounds = None
+
+    Bare.__abstractmethods__ = frozenset()
+    asked = []
+
+    class Run:
+        stepper = SimpleNamespace(time=0.0, steps=0)
+
+    run = Run()
+    one, other = Bare(run), Bare(run)
+
+    def job(display):
+        return lambda time, steps: display.worked_out("half", lambda: asked.append(steps))
+
+    for display in (one, other):
+        display.draw(Later(beside=False), job(display))
+    assert asked == [0, 0]
+    later = Later(beside=True)
+    for display in (one, other):
+        display._complete = True
+    for steps in (1, 2):
+        run.stepper.steps = steps
+        for display in (one, other):
+            display.draw(later, job(display))
+    later.close()
+    assert asked == [0, 0, 1, 2]
 
 
 def test_copies_that_never_come_are_told(device, monkeypatch):
@@ -145,7 +185,7 @@ def test_copies_that_never_come_are_told(device, monkeypatch):
     monkeypatch.setattr(moments, "LONGEST", 0.0)
     copies = Arriving({"a": array}, Pool())
     wp.synchronize()
-    copies._flag.numpy()[0] = 0
+    copies._views[""][0] = 0
     with pytest.raises(RuntimeError, match="have not come"):
         copies["a"]
 

@@ -5,12 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 from pumping import TINY
+from test_blockage import closed
 from test_recording_later import contents
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.recorder import Recorder, says
 from warpcrete.dem.batch import Batch
+from warpcrete.dem.blockage import BlockageWatch
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
@@ -32,7 +34,7 @@ class Rows(Recorder):
 
 
 def test_rows_are_completed_while_steps_go_on(monkeypatch):
-    """The same rows, in the same order; where a look for a blockage is due none is left for later."""
+    """The same rows, in the same order; where a look may find a blockage none is left for later."""
     scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
     begun, begin = [], ElementSimulation.begin_measure
     monkeypatch.setattr(ElementSimulation, "begin_measure", lambda self: begun.append(begin(self)) or begun[-1])
@@ -47,6 +49,34 @@ def test_rows_are_completed_while_steps_go_on(monkeypatch):
     assert runs[0].result["state_hash"] == runs[1].result["state_hash"]
     for name in runs[1].series:
         assert np.array_equal(runs[0].series[name], runs[1].series[name], equal_nan=True), name
+
+
+@pytest.mark.parametrize("blocked", [False, True], ids=["open", "closed"])
+def test_looks_for_a_blockage_are_completed_while_steps_go_on(blocked, monkeypatch):
+    """They see what they would have seen at once; none that may find one is left for later."""
+    scene = closed(stop_when_blocked=True) if blocked else scenes.pipe(**TINY | dict(travel=0.03), sample_interval=1e-3)
+    looks, begun, look, begin = [], [], BlockageWatch.__call__, BlockageWatch.begin
+
+    def looked(self, row):
+        before, standing = self._looked, self._standing
+        look(self, row)
+        if self._looked != before:
+            looks[-1].append((row["time"], self._standing, self._places.tobytes()))
+        assert not self.found or standing is not None
+
+    monkeypatch.setattr(BlockageWatch, "__call__", looked)
+    monkeypatch.setattr(BlockageWatch, "begin", lambda self: begun.append(self._looked) or begin(self))
+    runs = []
+    for later in (True, False):
+        looks.append([])
+        if not later:
+            monkeypatch.setattr(BlockageWatch, "may_wait", False)
+        runs.append(Simulation(scene, device="cpu", frame_interval=1.0).run())
+    assert looks[0] == looks[1] and 3 < len(begun) < len(looks[0])
+    assert [run.result["state_hash"] for run in runs] == [runs[0].result["state_hash"]] * 2
+    assert [run["blocked"] for run in runs] == [float(blocked)] * 2
+    if blocked:
+        assert runs[0]["blocked_time"] == runs[1]["blocked_time"] == runs[0].series["time"][-1]
 
 
 class Frames(Rows):

@@ -13,7 +13,7 @@ import numpy as np
 from .errors import one_of
 from .later import Later
 from .moments import Moment, moment_of, on_host
-from .paint import Paint
+from .paint import Paint, packed
 
 Colour = tuple[int, int, int, int]
 """Red, green, blue and opacity, 0 to 255."""
@@ -160,6 +160,17 @@ class Display(ABC):
         self._sources[name] = source
         return on_host(source())
 
+    def worked_out(self, name: str, work: Callable[[], Any]) -> Any:
+        """What `work` makes of what was read of the moment that is drawn, not to be written to: once for all displays
+        of the simulation that have it by the same name.
+        """
+        if self._taken is None:
+            return work()
+        known = self._taken.worked_out
+        if name not in known:  # of two that find it missing the second replaces the first's, which is the same
+            known[name] = work()
+        return known[name]
+
     @property
     def time(self) -> float:
         """Simulated time that is drawn [s]."""
@@ -203,6 +214,10 @@ class Display(ABC):
     @abstractmethod
     def colours(self) -> np.ndarray:
         """RGB bytes of all spheres, shape (n, 3)."""
+
+    def packed_colours(self) -> np.ndarray:
+        """The same as one number each, shape (n,): see :func:`.paint.packed`."""
+        return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:
         """Quantities of all spheres in SI units by name, shape (n,) or (n, 3)."""

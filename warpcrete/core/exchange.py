@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,47 @@ import warp as wp
 from .turns import waiting
 
 KEPT = 2048
-"""Arrays for which there is memory, at most: a batch of 128 runs reads some 600."""
+"""Sets of arrays for which there is memory, at most: a batch of 128 runs reads some 600."""
+
+
+class Beside:
+    """Page-locked memory for arrays of a GPU, and the copies of all of them there or back as one launch.
+
+    From the second time on they are a graph, which the host launches in less time than a single copy. It is of arrays
+    by where they are, and keeps none of them.
+    """
+
+    def __init__(self, arrays: Sequence[wp.array], device: Any) -> None:
+        self._device = device
+        self._memory = [wp.empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
+        self.views = [memory.numpy() for memory in self._memory]
+        """Of what was copied here, or is to be copied from here, as NumPy arrays."""
+        self.written = 0
+        """Number of the last write from here, of an :class:`Exchange`."""
+        self._copied, self._graph = False, None
+
+    def take(self, arrays: Sequence[wp.array]) -> None:
+        """Copy what the arrays hold, in the order of the device's work; always the same arrays."""
+        self._launch(self._memory, arrays)
+
+    def give(self, arrays: Sequence[wp.array]) -> None:
+        """Copy to the arrays, likewise."""
+        self._launch(arrays, self._memory)
+
+    def _launch(self, to: Sequence[wp.array], source: Sequence[wp.array]) -> None:
+        def copy() -> None:
+            for target, array in zip(to, source):
+                wp.copy(target, array)
+
+        if not self._copied or not any(array.size for array in self._memory):
+            copy()
+            self._copied = True
+            return
+        if self._graph is None:
+            with wp.ScopedCapture(device=self._device) as capture:
+                copy()
+            self._graph = capture.graph
+        wp.capture_launch(self._graph)
 
 
 class Exchange:
@@ -19,21 +59,21 @@ class Exchange:
 
     def __init__(self, device: Any) -> None:
         self.device = device
-        self._kept: dict[Any, tuple[wp.array, np.ndarray]] = {}
+        self._kept: dict[Any, Beside] = {}
         self._asked: tuple[wp.array, ...] = ()
-        self._beside_asked: list[tuple[wp.array, np.ndarray]] = []
+        self._beside_asked: Beside | None = None
         self._answered: Any = wp.Event(device) if device.is_cuda else None
-        self._under_way: set[Any] = set()  # what was written and may not have left its buffer yet
+        # Writes are numbered: the last of all, that before the last question, and that which is known to be done.
+        self._written = self._before_asked = self._arrived = 0
 
     def read(self, *arrays: wp.array) -> list[np.ndarray]:
         """Copies of arrays as they are after all that was launched so far; the host waits once for all of them."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
-        beside = [self._beside("read", array) for array in arrays]
-        for (buffer, _), array in zip(beside, arrays):
-            wp.copy(buffer, array)
+        beside = self._beside("read", arrays)
+        beside.take(arrays)
         self._wait()
-        return [view.copy() for _, view in beside]
+        return [view.copy() for view in beside.views]
 
     def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
         """Begin a read beside all others; what is returned waits for the copies, as the arrays are now. Before values
@@ -41,26 +81,24 @@ class Exchange:
         if not self.device.is_cuda:
             copies = [array.numpy().copy() for array in arrays]
             return lambda: copies
-        beside = [self._beside("begun", array) for array in arrays]
-        for (buffer, _), array in zip(beside, arrays):
-            wp.copy(buffer, array)
+        beside = self._beside("begun", arrays)
+        beside.take(arrays)
         done = self.device.stream.record_event()
 
         def wait() -> list[np.ndarray]:
             with waiting():
                 wp.synchronize_event(done)
-            return [view.copy() for _, view in beside]
+            return [view.copy() for view in beside.views]
 
         return wait
 
     def ask(self, *arrays: wp.array) -> None:
         """Begin a read, with no other on the way: the host goes on until it wants the :meth:`answer`."""
-        self._asked = arrays
+        self._asked, self._before_asked = arrays, self._written
         if self.device.is_cuda:
-            # Held here: where there are many arrays, memory for one may be given up for that of the next.
-            self._beside_asked = [self._beside("asked", array) for array in arrays]
-            for (buffer, _), array in zip(self._beside_asked, arrays):
-                wp.copy(buffer, array)
+            # Held here: where there are many arrays, memory for some may be given up for that of the next.
+            self._beside_asked = self._beside("asked", arrays)
+            self._beside_asked.take(arrays)
             self._answered = self.device.stream.record_event(self._answered)
 
     @property
@@ -72,34 +110,38 @@ class Exchange:
         """Copies of the arrays that were asked for, as they were then."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in self._asked]
+        assert self._beside_asked is not None
         with waiting():
             wp.synchronize_event(self._answered)
-        return [view.copy() for _, view in self._beside_asked]
+        self._arrived = max(self._arrived, self._before_asked)
+        return [view.copy() for view in self._beside_asked.views]
 
-    def write(self, array: wp.array, values: np.ndarray) -> None:
-        """Set an array after all that was launched so far."""
+    def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
+        """Set arrays to values after all that was launched so far."""
         if not self.device.is_cuda:
-            array.assign(values)
+            for array, values in pairs:
+                array.assign(values)
             return
-        key = array.ptr, array.shape
-        if key in self._under_way:
+        arrays = [array for array, _ in pairs]
+        beside = self._beside("written", arrays)
+        if beside.written > self._arrived:  # what was written may not have left its memory yet
             self._wait()
-        buffer, view = self._beside("written", array)
-        view[...] = values
-        wp.copy(array, buffer)
-        self._under_way.add(key)
+        for view, (_, values) in zip(beside.views, pairs):
+            view[...] = values
+        beside.give(arrays)
+        self._written += 1
+        beside.written = self._written
 
     def _wait(self) -> None:
         with waiting():
             wp.synchronize_stream(self.device.stream)
-        self._under_way.clear()
+        self._arrived = self._written
 
-    def _beside(self, use: str, array: wp.array) -> tuple[wp.array, np.ndarray]:
-        key = use, array.ptr, array.shape, array.dtype
+    def _beside(self, use: str, arrays: Sequence[wp.array]) -> Beside:
+        key = use, *((array.ptr, array.shape, array.dtype) for array in arrays)
         if key not in self._kept:
             if len(self._kept) == KEPT:
                 self._wait()
                 self._kept.clear()
-            buffer = wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=True)
-            self._kept[key] = buffer, buffer.numpy()
+            self._kept[key] = Beside(arrays, self.device)
         return self._kept[key]

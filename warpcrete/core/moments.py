@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
+
+from .exchange import Beside
 
 LONGEST = 60.0
 """That copies from a device may take to arrive [s]."""
@@ -34,7 +36,7 @@ class Pool:
     """Page-locked memory, which a GPU writes to while the host goes on, kept for the next time: it is slow to get."""
 
     def __init__(self) -> None:
-        self._free: dict[Any, deque[wp.array]] = {}
+        self._free: dict[tuple[str, ...], tuple[Any, deque[Beside]]] = {}
         self._one: wp.array | None = None
 
     def one(self, device: Any) -> wp.array:
@@ -43,15 +45,16 @@ class Pool:
             self._one = wp.ones(1, dtype=wp.int32, device=device)
         return self._one
 
-    def take(self, like: wp.array) -> wp.array:
-        """Memory for a copy of an array."""
-        free = self._free.setdefault((like.shape, like.dtype), deque())
-        # Other threads give back; one alone takes.
-        return free.pop() if free else wp.empty(like.shape, dtype=like.dtype, device="cpu", pinned=True)
-
-    def give(self, array: wp.array) -> None:
-        """Back, for others to write to."""
-        self._free[array.shape, array.dtype].append(array)
+    def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[Beside, deque[Beside]]:
+        """Memory for copies of arrays, and where it is to be put back. What they had elsewhere, with other sizes or
+        at other places, is given up.
+        """
+        names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
+        if names not in self._free or self._free[names][0] != where:
+            self._free[names] = where, deque()
+        free = self._free[names][1]
+        # Other threads put back; one alone takes.
+        return free.pop() if free else Beside([*arrays.values()], device), free
 
 
 class Arriving:
@@ -61,30 +64,26 @@ class Arriving:
     """
 
     def __init__(self, arrays: Mapping[str, wp.array], pool: Pool) -> None:
-        self._pool = pool
-        self._copies: dict[str, wp.array] = {}
-        for name, array in arrays.items():
-            self._copies[name] = copy = pool.take(array)
-            wp.copy(copy, array)
-        raised = pool.one(next(iter(arrays.values())).device)
-        self._flag = pool.take(raised)
-        self._flag.numpy()[0] = 0
-        wp.copy(self._flag, raised)
+        device = next(iter(arrays.values())).device
+        wanted = {**arrays, "": pool.one(device)}
+        self._beside, self._back = pool.take(wanted, device)
+        self._views = dict(zip(wanted, self._beside.views))
+        self._views[""][0] = 0
+        self._beside.take([*wanted.values()])
 
     def __del__(self) -> None:
         # Memory that the device may still write to is nobody else's.
-        if hasattr(self, "_flag") and self._flag.numpy()[0] == 1:
-            for array in (*self._copies.values(), self._flag):
-                self._pool.give(array)
+        if hasattr(self, "_views") and self._views[""][0] == 1:
+            self._back.append(self._beside)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A copy once it is there, to be read as long as this is held."""
-        flag, begun = self._flag.numpy(), time.monotonic()
+        flag, begun = self._views[""], time.monotonic()
         while flag[0] == 0:
             if time.monotonic() - begun > LONGEST:
                 raise RuntimeError(f"copies of what is drawn have not come from the device within {LONGEST:g} s")
             time.sleep(GLANCE)
-        return self._copies[name].numpy()
+        return self._views[name]
 
 
 @dataclass(frozen=True)
@@ -96,6 +95,8 @@ class Moment:
     steps: int
     found: dict[str, Any]
     """By the name that it is read by; of what is on its way the copies that have it."""
+    worked_out: dict[str, Any] = field(default_factory=dict)
+    """From that, by names, for all who draw this moment."""
 
     def read(self, name: str) -> Any:
         """What was found under a name, once it is there."""
@@ -128,4 +129,4 @@ def moment_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Mome
     if arrays:
         found |= dict.fromkeys(arrays, Arriving(arrays, latest.pool))
     # Others may add to it while this one is drawn.
-    return Moment(time, steps, {name: found[name] for name in sources})
+    return Moment(time, steps, {name: found[name] for name in sources}, latest.moment.worked_out)

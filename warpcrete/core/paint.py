@@ -22,6 +22,12 @@ def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str =
     return _palette(name)[((COLOURS - 1) * scaled).astype(int)]
 
 
+def packed(colours: np.ndarray) -> np.ndarray:
+    """RGB bytes (n, 3) as one number each, (n,): red highest, then green, blue, and full opacity."""
+    red, green, blue = colours.astype(np.uint32).T
+    return red << 24 | green << 16 | blue << 8 | np.uint32(255)
+
+
 @functools.cache
 def _palette(name: str) -> np.ndarray:
     from matplotlib import colormaps

@@ -17,7 +17,17 @@ import warp as wp
 from ..core.device import parallel
 from ..core.errors import refuse
 from ..core.exchange import Exchange
-from ..core.launching import DEFAULT_BLOCK, Launcher, Size, Stage, Step, by_one_thread, graph_sizes, parameter_names
+from ..core.launching import (
+    DEFAULT_BLOCK,
+    Launcher,
+    Size,
+    Stage,
+    Step,
+    at_once,
+    by_one_thread,
+    graph_sizes,
+    parameter_names,
+)
 from ..kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
 from ..kernels.dem.motion import sync_kernel
 from ..kernels.dem.probes import WALL_COLUMNS, wall_probe
@@ -70,7 +80,7 @@ class Batch(JointArrays):
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
         self._walls: np.ndarray | None = None
-        self._wall_reading: Stage | None = None
+        self._wall_reading: Callable[[], None] | None = None
         self._unsent = self._row_unsent = False
         self._step: list[list[Any]] | None = None
         self._rebuild: Callable[[], None] | None = None
@@ -195,8 +205,8 @@ class Batch(JointArrays):
         if self._wall_reading is None:
             self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
             reading = {"walls": self.walls, "wall_values": self._wall_values}
-            probe = wall_probe(self.scalar)
-            self._wall_reading = Stage(probe, self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
+            stage = Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
+            self._wall_reading = at_once([stage], self.device)
         self._wall_reading()
         return self._wall_values
 
@@ -207,13 +217,14 @@ class Batch(JointArrays):
 
     def device_changed(self) -> None:
         """Flags or clocks on the device are, or are about to become, others than those read last."""
-        if self._row_unsent:
-            self.exchange.write(self.scenes.row, self.rows)
+        unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
         if self.parallel:
             if self._unsent:
                 assert self._flags is not None
-                self.exchange.write(self.flags, self._flags)
+                unsent.append((self.flags, self._flags))
             self._flags = self._clock = None
+        if unsent:
+            self.exchange.write(*unsent)
         self._walls = None
         self._unsent = self._row_unsent = False
 

@@ -6,6 +6,7 @@ compression of what lies behind it explains, and the pressure rises.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,7 @@ class BlockageWatch:
         # Of the aggregates: permanent numbers, None as long as nobody looked, and volumes [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
+        self._begun: Callable[[], list[np.ndarray]] | None = None
 
     def state_dict(self) -> dict[str, Any]:
         """What the next look depends on, and what was found."""
@@ -74,12 +76,23 @@ class BlockageWatch:
         """Whether it looks at a row of this travel of the piston [m]."""
         return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
 
+    @property
+    def may_wait(self) -> bool:
+        """Whether a look that is begun may be completed when the run has gone on: it will find no blockage, for which
+        some part must have stood at the look before."""
+        return self._standing is None and self._numbers is not None
+
+    def begin(self) -> None:
+        """Begin a look at the concrete as it is now, which the next row completes."""
+        self._begun = self._reading()
+
     def __call__(self, row: dict[str, float]) -> None:
-        """Look, if the piston has gone far enough since the last look."""
+        """Look, if the piston has gone far enough since the last look: as it was when the look was begun, if it was."""
+        begun, self._begun = self._begun, None
         travel = row.get("travel", 0.0)
         if not self.is_due(travel):
             return
-        s, volume = self._stones()
+        s, volume = self._stones(begun or self._reading())
         if len(s) < STONES:
             return
         if self._looked >= 0:
@@ -92,10 +105,14 @@ class BlockageWatch:
                 self.found = self._describe(row, s, volume)
         self._looked, self._places = travel, s
 
-    def _stones(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and volumes [m3] of the aggregates, in the order of permanent numbers."""
+    def _reading(self) -> Callable[[], list[np.ndarray]]:
+        """Permanent numbers and places of all bodies as they are now, on their way."""
         bodies = self.state.bodies
-        number, position = self.state.batch.exchange.read(bodies.id, bodies.position)
+        return self.state.batch.exchange.begin(bodies.id, bodies.position)
+
+    def _stones(self, read: Callable[[], list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+        """Arc lengths [m] and volumes [m3] of the aggregates, in the order of permanent numbers."""
+        bodies, (number, position) = self.state.bodies, read()
         place = np.empty(self.state.body_count, dtype=int)
         place[number] = np.arange(len(place))
         if self._numbers is None:

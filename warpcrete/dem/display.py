@@ -21,7 +21,8 @@ from ..core.display import (
     Prototype,
     RigidBodies,
 )
-from ..core.paint import Paint, on_palette, rounded_up
+from ..core.paint import Paint, on_palette, packed, rounded_up
+from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
 from .probes import chunks_of, largest_forces, listed_forces, pairs_of
 from .slices import Stations
@@ -90,10 +91,10 @@ class ElementDisplay(Display):
         return "largest contact force on each [N]", 0.0, self._upper
 
     def _sphere_order(self) -> np.ndarray:
-        return _places_of(self.read("spheres.id"))
+        return self.worked_out("order of spheres", lambda: _places_of(self.read("spheres.id")))
 
     def _body_order(self) -> np.ndarray:
-        return _places_of(self.read("bodies.id"))
+        return self.worked_out("order of bodies", lambda: _places_of(self.read("bodies.id")))
 
     def radii(self) -> np.ndarray:
         """Of all spheres [m], in order of permanent numbers, shape (n,)."""
@@ -105,8 +106,15 @@ class ElementDisplay(Display):
 
     def colours(self) -> np.ndarray:
         """RGB bytes of all spheres, each as its body, shape (n, 3)."""
-        body = np.take(self.read("spheres.body"), self._sphere_order())
-        return np.take(on_palette(self._shown(), self._upper), body, axis=0)
+        return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
+
+    def packed_colours(self) -> np.ndarray:
+        """Worked out of bodies, of which there are fewer."""
+        return np.take(packed(self._painted()), self._bodies_of_spheres())
+
+    def _bodies_of_spheres(self) -> np.ndarray:
+        """Place of each sphere's body, in order of the spheres' permanent numbers."""
+        return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
         """Of every sphere its body's number, velocity [m/s] and largest contact force [N]."""
@@ -129,7 +137,11 @@ class ElementDisplay(Display):
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""
-        return on_palette(self._shown()[self._body_order()], self._upper)
+        return np.take(self._painted(), self._body_order(), axis=0)
+
+    def _painted(self) -> np.ndarray:
+        """RGB bytes of all bodies, in the order of the state's arrays."""
+        return self.worked_out(f"{self.colouring} up to {self._upper}", lambda: on_palette(self._shown(), self._upper))
 
     def _shown(self) -> np.ndarray:
         """What colours show of all bodies, in the order of the state's arrays."""
@@ -184,28 +196,39 @@ class ElementDisplay(Display):
         if probe is not None:
             number = next(k for k, wall in enumerate(simulation.model.walls) if wall.name == probe.wall)
             travel = float(self.read("walls.travel")[number])
+        s, _, tangent = self._on_axis(stations.axis)
         return stresses_along(
-            stations, FINEST * unit * stress, self.read("bodies.position").astype(float),
-            self.read("bodies.size").astype(float), self.read("bodies.group") == 0, travel,
+            stations, FINEST * unit * stress, s, tangent, self.read("bodies.size").astype(float),
+            self.read("bodies.group") == 0, travel,
         )  # fmt: skip
+
+    def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Arc lengths of all bodies [m] (n,), and the axis' points [m] and tangents there, both (n, 3)."""
+
+        def found() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            s = axis.along(self.read("bodies.position"))
+            return s, *axis.at(s)
+
+        return self.worked_out(f"on axis {id(axis)}", found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;
         rings without bodies are left out.
         """
         pipe = self.simulation.scene.pipe
-        position = self.read("bodies.position")
-        along = pipe.axis.along(position)
-        low, high = np.quantile(along, STRETCH) if len(along) else (0.0, 0.0)
-        inner = (along >= low) & (along <= high)
-        places, tangent = pipe.axis.at(along[inner])
-        distance = np.linalg.norm(position[inner] - places, axis=1)
-        velocity = np.sum(self.read("bodies.velocity")[inner, :3] * tangent, axis=1)
-        volume = self.read("bodies.size")[inner].astype(float) ** 3
+        position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
+        along, places, tangent = self._on_axis(pipe.axis)
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
+        ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
+        # Of all bodies, those beyond the ends without weight: to pick those between takes longer.
+        apart = position - places
+        distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+        speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
+        volume = self.read("bodies.size").astype(float) ** 3 * ((along >= ends[0]) & (along <= ends[1]))
         ring = np.minimum((RINGS * distance / pipe.radius).astype(int), RINGS - 1)
         weight = np.bincount(ring, volume, RINGS)
         there = weight > 0
-        mean = np.bincount(ring, volume * velocity, RINGS)[there] / weight[there]
+        mean = np.bincount(ring, volume * speed, RINGS)[there] / weight[there]
         return 1e3 * pipe.radius * (np.arange(RINGS)[there] + 0.5) / RINGS, 100 * mean
 
     def walls(self) -> list[DrawnWall]:

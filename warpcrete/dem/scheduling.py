@@ -92,6 +92,11 @@ class _Drive:
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
+    def under_way(self) -> bool:
+        """Whether any scene wants to be somewhere."""
+        return any(member.waiting for member in self._members.values())
+
+    @property
     def results(self) -> dict[int, Any]:
         """What each coroutine returned or raised, by the number that it came with."""
         return {number: member.result for number, member in self._members.items()}
@@ -135,7 +140,7 @@ class _Drive:
     def _do(self, what: Callable[[], None]) -> None:
         with self._on_stream():
             try:
-                if self.stop is None and self.waiting:
+                if self.stop is None and self.under_way:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
@@ -147,7 +152,8 @@ class _Drive:
                     self._go_on(member, self.stop)
 
     def _launch(self) -> None:
-        steppers = [member.stepper for member in self.waiting]
+        waiting = self.waiting
+        steppers = [member.stepper for member in waiting]
         if self._regroup is not None:
             with put_off():
                 self._regroup(steppers)
@@ -157,7 +163,7 @@ class _Drive:
             batch.use_step(step_stages(batch), *self._by_device(stepper))
         batch.launch()
         with put_off():
-            for member in self.waiting:
+            for member in waiting:
                 member.meanwhile()
 
     @staticmethod
@@ -222,14 +228,14 @@ def drive_abreast(
             stop = stop or one.stop
 
     each(lambda one: one.begin(stop), drives)
-    while under_way := [one for one in drives if one.waiting]:
+    while under_way := [one for one in drives if one.under_way]:
         try:
             if stop is not None:
                 for one in under_way:
                     one.interrupt(stop)
                 continue
             each(_Drive.launch, [one for one in under_way if one not in launched])
-            launched = [one for one in under_way if one.waiting]
+            launched = [one for one in under_way if one.under_way]
             ready = [one for one in launched if len(launched) == 1 or one.settled]
             if not ready:
                 with waiting():

@@ -7,6 +7,7 @@ import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..core.footprint import footprint
@@ -256,20 +257,28 @@ class ElementSimulation(Simulation):
 
     def begin_measure(self) -> bool:
         """Begin a row where a GPU may go on meanwhile: nothing but sums is wanted, and no end is near."""
-        row = self.rows[-1]
-        calm = self.watch.is_calm(row) and self.stepper.batch.parallel and self.sampler.may_wait
-        if not calm or (self.blockage is not None and self.blockage.is_due(self._farthest(row))):
+        row, blockage = self.rows[-1], self.blockage
+        if not (self.watch.is_calm(row) and self.stepper.batch.parallel and self.sampler.may_wait):
             return False
+        if blockage is not None and blockage.is_due(self._farthest(row)):
+            if not blockage.may_wait:
+                return False
+            blockage.begin()
         self.sampler.begin()
         return True
 
     def _farthest(self, row: dict[str, float]) -> float:
         """Travel of the wall that pushes, at most, in the row that follows one [m]."""
+        if self._top_speed == math.inf:
+            return math.inf
+        return row["travel"] + self._top_speed * (self.sampled[0] - row["time"]) * (1 + 1e-9)
+
+    @cached_property
+    def _top_speed(self) -> float:
+        """Of that wall [m/s]; infinite where it is driven, or there is none."""
         probe = self.scene.pressure
         pushing = next((wall for wall in self.model.walls if probe is not None and wall.name == probe.wall), None)
-        if pushing is None or isinstance(pushing.motion, Driven):
-            return math.inf
-        return row["travel"] + pushing.top_speed() * (self.sampled[0] - row["time"]) * (1 + 1e-9)
+        return math.inf if pushing is None or isinstance(pushing.motion, Driven) else pushing.top_speed()
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""

@@ -29,6 +29,8 @@ RINGS = 5
 """Of equal width, in which a velocity profile is a mean."""
 FRONT = 0.98
 """Part of the solid volume behind the front: what is beyond it no longer fills the pipe."""
+FARTHEST = 8
+"""One in so many bodies, the farthest, among which the front is looked for."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
@@ -113,19 +115,23 @@ def _stress_stage(model: Model, state: State, scale: float, stress: wp.array) ->
 
 
 def stresses_along(
-    stations: Stations, stress: np.ndarray, centre: np.ndarray, size: np.ndarray, fills: np.ndarray, travel: float
+    stations: Stations,
+    stress: np.ndarray,
+    s: np.ndarray,
+    tangent: np.ndarray,
+    size: np.ndarray,
+    fills: np.ndarray,
+    travel: float,
 ) -> np.ndarray:
     """Mean normal stress, and that along the pipe, in all slices [Pa], shape (slices, 2): the first two columns of
     :func:`measured`, each body's stress spread evenly over its width, NaN where concrete does not fill a slice.
 
-    Of bodies: `stress` [J] (n, 6) as of :func:`body_stresses`, `centre` [m] (n, 3), `size` [m] (n,), and whether it
-    `fills` the pipe (n,), which a plug does not.
+    Of bodies: `stress` [J] (n, 6) as of :func:`body_stresses`, arc lengths `s` [m] (n,) and the axis' `tangent` there
+    (n, 3), `size` [m] (n,), and whether it `fills` the pipe (n,), which a plug does not.
     """
-    edges, axis = np.array(stations.edges), stations.axis
-    s = axis.along(centre)
-    t = axis.at(s)[1]
-    along = np.einsum("ij,ij->i", stress[:, :3], t**2)
-    along += 2 * np.einsum("ij,ij->i", stress[:, 3:], t * np.roll(t, -1, axis=1))
+    edges, t = np.array(stations.edges), tangent
+    along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
+    along += 2 * np.einsum("ij,ij,ij->i", stress[:, 3:], t, t[:, [1, 2, 0]])
     each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
     found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
     found[~_between(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
@@ -134,10 +140,22 @@ def stresses_along(
 
 def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
     """Which slices lie between a piston that has gone so far and the front of some volumes at arc lengths [m]."""
-    total = np.cumsum(volume[order := np.argsort(s, kind="stable")])
-    if not len(total) or total[-1] == 0:
+    whole = float(volume.sum())
+    if whole == 0:
         return np.zeros(len(edges) - 1, bool)
-    return (edges[:-1] >= travel) & (edges[1:] <= s[order][np.searchsorted(total, FRONT * total[-1])])
+    return (edges[:-1] >= travel) & (edges[1:] <= _front(s, volume, FRONT * whole))
+
+
+def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
+    """The arc length up to which there is so much volume, and no more than the body there [m]."""
+    # Only those that lie farthest are sorted: to sort them all takes four times as long as all of this.
+    far = len(s) // FARTHEST
+    last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
+    before = float(volume.sum() - volume[last].sum()) if far else 0.0
+    if before >= behind:
+        last, before = np.arange(len(s)), 0.0
+    order = last[np.argsort(s[last], kind="stable")]
+    return float(s[order[np.searchsorted(before + np.cumsum(volume[order]), behind)]])
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:

@@ -35,8 +35,9 @@ from .watch import unstable
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW = 50_000
 MESH_SKIN = 4  # times the skin
-SORT_EVERY = {"cpu": 1000, "cuda": 4000}
-"""Steps from one re-sorting of the bodies to the next: 13 to 40 builds of the lists."""
+SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
+"""Steps from one re-sorting of the bodies to the next, by the host: 13 to 55 builds of the lists. Few bodies are near
+to hand wherever they lie: of 28,000 spheres a step takes 1.3 us less than with 4000, and no less without any."""
 
 
 class Stepper:
@@ -96,9 +97,7 @@ class Stepper:
         self.batch.set(
             index,
             skin=self.skin,
-            sort_every=SORT_EVERY["cuda" if self.batch.parallel else "cpu"]
-            if self._sort_every is None
-            else self._sort_every,
+            sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
             # What spheres and moving meshes may go between two builds adds up to the skin.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,

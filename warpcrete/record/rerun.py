@@ -127,7 +127,7 @@ class RerunRecorder(Recorder):
         rr, display = self._rr, self._display
         assert display is not None
         self._set_time(time, steps)
-        spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.colours())
+        spheres = rr.Points3D.from_fields(positions=display.centres(), colors=display.packed_colours())
         self._log(f"scene/{display.noun}", spheres)
         for number, name in self._moving:
             self._log_pose(number, f"scene/walls/{name}")
@@ -178,13 +178,29 @@ class RerunRecorder(Recorder):
                 apart = float(np.min(np.diff(places))) if len(places) > 1 else 1.0
                 width = 0.8 * apart / len(found)
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
-                fields: dict[str, Any] = {"values": values}
+                fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
                 if not np.array_equal(self._places.get(path, ()), middle):  # to convert them takes longest
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
                                "color": curve.colour}  # fmt: skip
                 self._log(path, self._rr.BarChart.from_fields(**fields))
+
+    def _bars(self, values: np.ndarray) -> Any:
+        """Heights of bars as Rerun has them, a tensor: it takes ten times as long to convert them, so those of so many
+        are converted once, and others get what is theirs in that."""
+        from rerun.components import TensorDataBatch
+
+        like = self._tensors.get(len(values))
+        if like is None:
+            self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
+            return like
+        union = like.field("buffer")
+        kind = union.type_codes[0].as_py()
+        members = [union.field(number) for number in range(union.type.num_fields)]
+        members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
+        buffer = type(union).from_buffers(union.type, 1, union.buffers()[:3], children=members)
+        return type(like).from_arrays([like.field("shape"), like.field("names"), buffer], fields=list(like.type))
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
@@ -265,6 +281,7 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
+        self._tensors: dict[int, Any] = {}  # of bars, by their number
         self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
         if self.live is True:
             rr.spawn(connect=False, recording=self._recording)
