@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .graphs import AtOnce, captured
 from .turns import waiting
 
 KEPT = 2048
@@ -32,26 +33,69 @@ class Beside:
 
     def take(self, arrays: Sequence[wp.array]) -> None:
         """Copy what the arrays hold, in the order of the device's work; always the same arrays."""
-        self._launch(self._memory, arrays)
+        self._launch(lambda: self.copy(arrays))
+
+    def copy(self, arrays: Sequence[wp.array]) -> None:
+        """The same one by one, which may be captured."""
+        for memory, array in zip(self._memory, arrays):
+            wp.copy(memory, array)
 
     def give(self, arrays: Sequence[wp.array]) -> None:
         """Copy to the arrays, likewise."""
-        self._launch(arrays, self._memory)
 
-    def _launch(self, to: Sequence[wp.array], source: Sequence[wp.array]) -> None:
         def copy() -> None:
-            for target, array in zip(to, source):
-                wp.copy(target, array)
+            for array, memory in zip(arrays, self._memory):
+                wp.copy(array, memory)
 
+        self._launch(copy)
+
+    def _launch(self, copy: Callable[[], None]) -> None:
         if not self._copied or not any(array.size for array in self._memory):
             copy()
             self._copied = True
             return
         if self._graph is None:
-            with wp.ScopedCapture(device=self._device) as capture:
-                copy()
-            self._graph = capture.graph
+            self._graph = captured(self._device, copy)
         wp.capture_launch(self._graph)
+
+
+class _Copying:
+    """Copies as a stage."""
+
+    def __init__(self, beside: Beside, arrays: Sequence[wp.array]) -> None:
+        self._beside, self._arrays = beside, arrays
+
+    def record(self) -> None:
+        """There is nothing to make ready."""
+
+    def __call__(self) -> None:
+        self._beside.copy(self._arrays)
+
+
+class Reading:
+    """Stages, and copies of what they leave, as one launch."""
+
+    def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
+        self._device, self._arrays = device, tuple(arrays)
+        self._beside = Beside(arrays, device) if device.is_cuda else None
+        self._done = wp.Event(device) if device.is_cuda else None
+        copies = [] if self._beside is None else [_Copying(self._beside, self._arrays)]
+        self._launch = AtOnce([*stages, *copies], device)
+
+    def begin(self) -> Callable[[], list[np.ndarray]]:
+        """Launch; what is returned waits for the copies. Before the next time it must have been called."""
+        self._launch()
+        if self._beside is None:
+            copies = [array.numpy().copy() for array in self._arrays]
+            return lambda: copies
+        self._device.stream.record_event(self._done)
+        return self._wait
+
+    def _wait(self) -> list[np.ndarray]:
+        assert self._beside is not None
+        with waiting():
+            wp.synchronize_event(self._done)
+        return [view.copy() for view in self._beside.views]
 
 
 class Exchange:

@@ -24,6 +24,7 @@ import warp as wp
 from ..kernels.common.barrier import GATE, barrier
 from .cores import Crowding, own_cores
 from .device import default_threads, parallel
+from .graphs import AtOnce, captured
 from .interrupts import put_off
 
 COMPILING = 16
@@ -274,7 +275,7 @@ class Launcher:
 
     def __init__(self, threads: int, device: Any) -> None:
         self.threads, self.device = threads, device
-        self._graphs: dict[tuple[int, bool], list[Any]] = {}
+        self._graphs: dict[tuple[int, bool, AtOnce | None], list[Any]] = {}
         self._now_and_then: Callable[[], None] | None = None
         self._without = 0  # steps since what is taken now and then was
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
@@ -295,10 +296,17 @@ class Launcher:
         self._graphs.clear()
         self._now_and_then = None
 
-    def replay(self, step: Step, alone: Callable[[], Step], sizes: list[int], ended: Callable[[], bool]) -> None:
+    def replay(
+        self,
+        step: Step,
+        alone: Callable[[], Step],
+        sizes: list[int],
+        ended: Callable[[], bool],
+        behind: AtOnce | None = None,
+    ) -> None:
         """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle.
 
-        `alone` gives the step as one thread takes it for all.
+        `alone` gives the step as one thread takes it for all; what is `behind` each graph of a GPU becomes part of it.
         """
         left = list(sizes)
         while left:
@@ -306,11 +314,11 @@ class Launcher:
             count = 1 if self._pool is not None and (crowded or self.crowding.on_trial) else len(left)
             now, left = left[:count], left[count:]
             for size in set(now):
-                if (size, crowded) not in self._graphs:
-                    self._graphs[size, crowded] = self._capture(alone() if crowded else step, size)
+                if (size, crowded, behind) not in self._graphs:
+                    self._graphs[size, crowded, behind] = self._capture(alone() if crowded else step, size, behind)
             begun = time.perf_counter()
             parts = range(1 if crowded else self.threads)
-            self._together([functools.partial(self._run, part, now, crowded, ended) for part in parts])
+            self._together([functools.partial(self._run, part, now, crowded, ended, behind) for part in parts])
             if self._pool is not None and not crowded:
                 self.crowding.stepped(time.perf_counter() - begun)
             self._catch_up(step[0], now)
@@ -325,15 +333,17 @@ class Launcher:
         held = any(stage.is_due(0, size) for stage in seldom for size in sizes)
         self._without = 0 if held else self._without + sum(sizes)
         if self._without >= seldom[0].every:
-            self._now_and_then = self._now_and_then or at_once(seldom, self.device)
+            self._now_and_then = self._now_and_then or AtOnce(seldom, self.device)
             self._now_and_then()
             self._without = 0
 
-    def _run(self, part: int, sizes: list[int], crowded: bool, ended: Callable[[], bool]) -> None:
+    def _run(
+        self, part: int, sizes: list[int], crowded: bool, ended: Callable[[], bool], behind: AtOnce | None
+    ) -> None:
         if not crowded:
             self.crowding.enter()
         for size in sizes:
-            wp.capture_launch(self._graphs[size, crowded][part])
+            wp.capture_launch(self._graphs[size, crowded, behind][part])
             # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
             if not parallel(self.device) and ended():
                 return
@@ -364,42 +374,21 @@ class Launcher:
         for one in running:
             one.result()
 
-    def _capture(self, step: Step, size: int) -> list[Any]:
+    def _capture(self, step: Step, size: int, behind: AtOnce | None) -> list[Any]:
         load((stage for part in step for stage in part), self.device)
-        graphs = []
-        for part in step:
-            with wp.ScopedCapture(device=self.device) as capture:
-                for turn in range(size):
-                    due = [stage for stage in part if stage.is_due(turn, size)]
-                    if parallel(self.device) and self.device.is_cuda:
-                        _launch_beside(due, self.device)
-                    else:
-                        for stage in due:
-                            stage()
-            graphs.append(capture.graph)
-        return graphs
 
+        def launch(part: list[Any]) -> None:
+            for turn in range(size):
+                due = [stage for stage in part if stage.is_due(turn, size)]
+                if parallel(self.device) and self.device.is_cuda:
+                    _launch_beside(due, self.device)
+                else:
+                    for stage in due:
+                        stage()
+            for stage in behind.stages if behind is not None else ():
+                stage()
 
-def at_once(stages: list[Any], device: Any) -> Callable[[], None]:
-    """Stages, or what can be recorded and called like some, as one launch: on a GPU a graph, since launching a short
-    kernel takes longer than the kernel."""
-
-    def one_by_one() -> None:
-        for stage in stages:
-            stage()
-
-    if not device.is_cuda:
-        return one_by_one
-    for stage in stages:
-        stage.record()
-    with wp.ScopedCapture(device=device) as capture:
-        one_by_one()
-    graph = capture.graph
-
-    def replay(_kept: list[Any] = stages) -> None:  # their arrays are the graph's, which does not hold them
-        wp.capture_launch(graph)
-
-    return replay
+        return [captured(self.device, functools.partial(launch, part)) for part in step]
 
 
 def _launch_beside(stages: list[Any], device: Any) -> None:

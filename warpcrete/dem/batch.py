@@ -8,7 +8,8 @@ scene alone and in a batch holds the same bits. Finished scenes cost little, but
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,13 @@ import warp as wp
 from ..core.device import parallel
 from ..core.errors import refuse
 from ..core.exchange import Exchange
+from ..core.graphs import AtOnce
 from ..core.launching import (
     DEFAULT_BLOCK,
     Launcher,
     Size,
     Stage,
     Step,
-    at_once,
     by_one_thread,
     graph_sizes,
     parameter_names,
@@ -80,11 +81,11 @@ class Batch(JointArrays):
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
         self._walls: np.ndarray | None = None
-        self._wall_reading: Callable[[], None] | None = None
+        self._wall_reading: AtOnce | None = None
         self._unsent = self._row_unsent = False
         self._step: list[list[Any]] | None = None
-        self._rebuild: Callable[[], None] | None = None
-        self._between: Callable[[], None] | None = None
+        self._rebuild: AtOnce | None = None
+        self._between: AtOnce | None = None
         self._sync: Stage | None = None
         self.split()
 
@@ -132,9 +133,7 @@ class Batch(JointArrays):
         self._sync = None
         self._wall_reading = None
 
-    def use_step(
-        self, step: list[list[Any]], rebuild: Callable[[], None] | None, between: Callable[[], None] | None
-    ) -> None:
+    def use_step(self, step: list[list[Any]], rebuild: AtOnce | None, between: AtOnce | None) -> None:
         """Take the stages of one step, a list for each thread; good until `has_step` says otherwise.
 
         `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate, `rebuild`
@@ -203,12 +202,19 @@ class Batch(JointArrays):
     def wall_values(self) -> wp.array:
         """The same of all walls, on the device: good until the next call."""
         if self._wall_reading is None:
-            self._wall_values = wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
-            reading = {"walls": self.walls, "wall_values": self._wall_values}
-            stage = Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
-            self._wall_reading = at_once([stage], self.device)
+            self._wall_reading = AtOnce([self.wall_stage()], self.device)
         self._wall_reading()
-        return self._wall_values
+        return self.wall_array
+
+    @cached_property
+    def wall_array(self) -> wp.array:
+        """Where they are written, shape (walls, WALL_COLUMNS)."""
+        return wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
+
+    def wall_stage(self) -> Stage:
+        """What writes them."""
+        reading = {"walls": self.walls, "wall_values": self.wall_array}
+        return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
         """Rows of a scene among those of all walls."""
@@ -238,13 +244,18 @@ class Batch(JointArrays):
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
         between = self._rebuild if interval == NEVER else self._between
+
+        def ended() -> bool:
+            return bool(flags[:, int(HALTED)].all())
+
         try:
             for count in pieces:
-                # From one estimate to the next a GPU takes one graph.
+                # From one estimate to the next a GPU takes one graph, the estimate included.
                 whole = self.parallel and count in (interval, WAIT) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
-                self._launcher.replay(self._step, self._alone, sizes, lambda: bool(flags[:, int(HALTED)].all()))
-                if between is not None:
+                behind = between if whole and self.device.is_cuda else None
+                self._launcher.replay(self._step, self._alone, sizes, ended, behind)
+                if between is not None and behind is None:
                     between()
         finally:  # an interruption leaves bodies where their spheres are
             for stage in self.sync_stages():

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.errors import CapacityError
+from ..core.graphs import captured
 from ..core.launching import Stage
 from ..core.scan import scan_stages
 from ..kernels.common.control import STALE, STEPS
@@ -192,9 +193,7 @@ class NeighborLists:
             launches.ran.add(name)
             return
         if name not in launches.graphs:
-            with wp.ScopedCapture(device=device) as capture:
-                part(launches)
-            launches.graphs[name] = capture.graph
+            launches.graphs[name] = captured(device, lambda: part(launches))
         wp.capture_launch(launches.graphs[name])
 
     def _before(self, launches: _Launches) -> None:

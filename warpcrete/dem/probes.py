@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.launching import DEFAULT_BLOCK, Size, Stage, at_once, parameter_names
+from ..core.exchange import Reading
+from ..core.graphs import AtOnce, Zero
+from ..core.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
 from ..kernels.dem import probes as column
 from .model import Model
 from .state import State
@@ -85,11 +87,14 @@ def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
     """Sums over bodies and over contacts as they are now, and what is read of each wall, shape (walls, WALL_COLUMNS): a
     GPU makes them with one launch, and the host waits for them when it calls what is returned, once."""
     batch, index = state.batch, state.index
-    arrays = [batch.wall_values()]
-    if state.body_count:
-        launched(state, "both", lambda: _body_stages(model, state) + _contact_stages(model, state))
-        arrays += [_sums(state, each, COLUMNS[each]) for each in COLUMNS]
-    wait = batch.exchange.begin(*arrays)
+    recorded = state.launches(batch.version)
+    if "row" not in recorded:
+        stages = [batch.wall_stage()]
+        if state.body_count:
+            stages += _body_stages(model, state) + _contact_stages(model, state)
+        sums_of = [_sums(state, each, columns) for each, columns in COLUMNS.items() if state.body_count]
+        recorded["row"] = Reading(stages, [batch.wall_array, *sums_of], batch.device)
+    wait = recorded["row"].begin()
 
     def sums() -> Sums:
         walls, *found = wait()
@@ -181,11 +186,11 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
     return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
 
 
-def launched(state: State, what: str, make: Callable[[], list[Stage]]) -> None:
+def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:
     """Launch the stages that `make` gives; recorded once, until an array of the batch's is another."""
     recorded = state.launches(state.batch.version)
     if what not in recorded:
-        recorded[what] = at_once(make(), state.batch.device)
+        recorded[what] = AtOnce(make(), state.batch.device)
     recorded[what]()
 
 
@@ -229,9 +234,8 @@ def largest_forces(model: Model, state: State) -> wp.array:
     """Largest normal contact force on each body [N], in the order of the state's arrays, shape (n,): good until the
     next call."""
     loads = state.scratch("loads", (state.body_count,), model.scalar)
-    loads.zero_()
     if state.sphere_count:
-        launched(state, "loads", lambda: [*_probing(model, state), _load_stage(model, state, loads)])
+        launched(state, "loads", lambda: [Zero(loads), *_probing(model, state), _load_stage(model, state, loads)])
     return loads
 
 

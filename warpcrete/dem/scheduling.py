@@ -14,8 +14,8 @@ from typing import Any
 import warp as wp
 
 from ..core.errors import CapacityError
+from ..core.graphs import AtOnce
 from ..core.interrupts import put_off
-from ..core.launching import at_once
 from ..core.run_loop import Coroutine
 from ..core.turns import waiting
 from .rebuilding import DeviceRebuild
@@ -167,7 +167,7 @@ class _Drive:
                 member.meanwhile()
 
     @staticmethod
-    def _by_device(stepper: Any) -> tuple[Callable[[], None] | None, Callable[[], None] | None]:
+    def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
         """What a GPU does by itself between two pieces of steps: lists of a scene alone, and then estimates, too."""
         batch = stepper.batch
         batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
@@ -177,7 +177,7 @@ class _Drive:
         if batch.ahead.rebuilds_itself:
             stepper.lists.lay_out_cells()
             rebuild = [DeviceRebuild(stepper.lists)]
-        return at_once(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
+        return AtOnce(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
 
     def _look(self) -> None:
         waiting, flags = self.waiting, self._launched.settle()

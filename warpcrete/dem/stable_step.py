@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.launching import Stage, at_once
+from ..core.graphs import AtOnce
+from ..core.launching import Stage
 from ..geometry.walls import Driven
 from ..kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from ..kernels.dem.stable_step import (
@@ -75,10 +76,10 @@ class StableStep:
         self._launch(scenes[0])()
         self.batch.device_changed()
 
-    def by_device(self, first: Sequence[Any] = ()) -> Callable[[], None]:
+    def by_device(self, first: Sequence[Any] = ()) -> AtOnce:
         """What estimates, for all scenes that have come to where they must be, and lets them go on: for a GPU, which
         has the host wait for none of it. What is to be launched `first` goes with it."""
-        return at_once([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
+        return AtOnce([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
         """Stages with all that it launches."""
@@ -97,7 +98,7 @@ class StableStep:
     def _made(self, phases: list[list[Stage]]) -> Callable[[], None]:
         b = self.batch
         if b.threads == 1:
-            return at_once([stage for phase in phases for stage in phase], b.device)
+            return AtOnce([stage for phase in phases for stage in phase], b.device)
 
         def phase_by_phase() -> None:
             for phase in phases:

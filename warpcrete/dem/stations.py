@@ -16,6 +16,7 @@ from operator import attrgetter
 import numpy as np
 import warp as wp
 
+from ..core.graphs import Zero
 from ..core.launching import Stage
 from ..geometry.axis import Axis
 from ..kernels.common.types import types
@@ -100,11 +101,13 @@ def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     [J], shape (bodies, 6), in the order of the state's arrays; on the device, and good until the next call.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
-    stress.zero_()
     if state.sphere_count:
-        _probe(model, state)
         scale = 1 / (FINEST * unit)
-        launched(state, f"body stresses in {unit!r}", lambda: [_stress_stage(model, state, scale, stress)])
+        launched(
+            state,
+            f"body stresses in {unit!r}",
+            lambda: [Zero(stress), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
+        )
     return stress
 
 
