@@ -143,6 +143,7 @@ class Display(ABC):
         one_of("colour", self.colouring, self.colourings)
         self._sources: dict[str, Callable[[], Any]] = {}
         self._taken: Moment | None = None
+        self._give_way: Callable[[], None] = lambda: None
         self._complete = False
 
     def read(self, path: str) -> np.ndarray:
@@ -156,6 +157,7 @@ class Display(ABC):
         a device comes as one of NumPy.
         """
         if self._taken is not None:
+            self._give_way()
             return self._taken.read(name)
         self._sources[name] = source
         return on_host(source())
@@ -187,7 +189,7 @@ class Display(ABC):
             job(time, steps)
             self._complete = True
             return
-        moment = moment_of(self.simulation, self._sources)
+        moment, self._give_way = moment_of(self.simulation, self._sources), later.give_way
 
         def drawn() -> None:
             self._taken = moment

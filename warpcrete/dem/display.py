@@ -290,7 +290,8 @@ class ElementDisplay(Display):
     def pose(self) -> Pose:
         """Where rigid bodies are."""
         order = self._body_order()
-        return Pose(*(self.read(f"bodies.{name}")[order] for name in ("position", "orientation", "velocity")))
+        names = "position", "orientation", "velocity"
+        return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))
 
     def network(self) -> dict[str, Lines]:
         """Touching pairs that are not bonded, and bonds."""

@@ -236,7 +236,7 @@ class _Instances:
             velocity = Vt.Vec3fArray.FromNumpy(pose.velocities.astype(np.float32))
             self._instancer.CreateVelocitiesAttr().Set(velocity, code)
         if len(position):
-            extent = _extent(position, self._reach[:, None])
+            extent = _extent(position, self._reach)
             self._instancer.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
         self._colours.set(display.body_colours(), code)
 
@@ -259,14 +259,15 @@ class _Points:
 
         place = display.centres().astype(np.float32)
         self._points.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(place), code)
-        extent = _extent(place, self._radii[:, None])
+        extent = _extent(place, self._radii)
         self._points.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
         self._colours.set(display.colours(), code)
 
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Lowest and highest corner of bodies."""
-    return np.stack([(places - reach).min(0), (places + reach).max(0)]).astype(np.float32)
+    x = np.ascontiguousarray(places.T)  # of columns side by side the smallest takes a tenth of the time
+    return np.stack([(x - reach).min(1), (x + reach).max(1)]).astype(np.float32)
 
 
 def _prim_name(name: str, number: int, walls: list[DrawnWall]) -> str:

@@ -131,6 +131,7 @@ class Colours:
         known = primvar.Get()  # of a file that is gone on with
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
+        self._known: dict[int, int] = {}  # those of them that came up here, by their bytes as one number
 
     def set(self, colours: np.ndarray, code: Any) -> None:
         """RGB bytes (n, 3) at a time code."""
@@ -138,14 +139,18 @@ class Colours:
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
         found, place = np.unique(packed, return_inverse=True)
-        light = linear(np.stack([found >> 16, (found >> 8) & 255, found & 255], axis=1))
-        new = [row for row in light if row.tobytes() not in self._numbers]
-        for row in new:
-            self._numbers[row.tobytes()] = len(self._numbers)
+        new = []
+        for number in found.tolist():
+            if number not in self._known:
+                row = linear(np.array([[number >> 16, number >> 8 & 255, number & 255]]))[0]
+                if row.tobytes() not in self._numbers:
+                    self._numbers[row.tobytes()] = len(self._numbers)
+                    new.append(row)
+                self._known[number] = self._numbers[row.tobytes()]
         if new:
             self._table = np.concatenate([self._table, new])
             self._primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(self._table, np.float32)))
-        numbers = np.array([self._numbers[row.tobytes()] for row in light], np.int32)
+        numbers = np.array([self._known[number] for number in found.tolist()], np.int32)
         self._primvar.SetIndices(Vt.IntArray.FromNumpy(numbers[place.ravel()]), code)
 
 
