@@ -163,6 +163,19 @@ def test_a_profile_is_the_mean_velocity_of_rings(pumped):
     assert len(place) > 5 and place.max() < 1e3 * run.scene.pipe.radius
 
 
+@pytest.mark.parametrize("colouring", ["force", "speed", "size"])
+def test_colours_as_one_number_each_are_the_same_colours(colouring):
+    simulation = Simulation(scenes.pipe(**SMALL | dict(travel=0.002, shapes="reference")), device="cpu")
+    simulation.run()
+    display = simulation.display(colouring)
+    red, green, blue = display.colours().astype(np.int64).T
+    expected = ((red * 256 + green) * 256 + blue) * 256 + 255
+    assert display.packed_colours().dtype == np.uint32 and np.array_equal(display.packed_colours(), expected)
+    assert len(np.unique(expected)) > 3 and np.array_equal(
+        display.body_colours()[display.fields()["body"]], display.colours()
+    )
+
+
 def test_a_flow_s_profile_stands_beside_theory():
     simulation = Simulation(scenes.channel(spacing=0.01), device="cpu", threads=1)
     run = simulation.run()

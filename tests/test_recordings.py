@@ -273,6 +273,21 @@ def test_paraview_says_what_it_needs(tmp_path, monkeypatch):
         ParaViewRecorder(tmp_path)
 
 
+@pytest.mark.parametrize("number", [1, 2, 9])
+def test_heights_of_bars_are_as_rerun_would_have_them(number):
+    """Converted once for so many, then swapped in Arrow's array."""
+    from rerun.components import TensorDataBatch
+
+    recorder, rng = RerunRecorder(None), np.random.default_rng(number)
+    recorder._tensors = {}
+    for _ in range(3):
+        values = rng.normal(size=number)
+        expected = TensorDataBatch(values).as_arrow_array()
+        found = recorder._bars(values)
+        assert found.type == expected.type and found.equals(expected)
+    assert not found.equals(TensorDataBatch(values + 1).as_arrow_array())
+
+
 def test_rerun_has_every_frame_and_every_row_with_its_time(recorded):
     folder, kept = recorded
     spheres = columns(folder / "run.rrd", "/scene/aggregates")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -162,7 +162,7 @@ class Display(ABC):
         self._sources[name] = source
         return on_host(source())
 
-    def worked_out(self, name: str, work: Callable[[], Any]) -> Any:
+    def worked_out(self, name: Hashable, work: Callable[[], Any]) -> Any:
         """What `work` makes of what was read of the moment that is drawn, not to be written to: once for all displays
         of the simulation that have it by the same name.
         """

@@ -138,12 +138,14 @@ class Exchange:
 
     def ask(self, *arrays: wp.array) -> None:
         """Begin a read, with no other on the way: the host goes on until it wants the :meth:`answer`."""
-        self._asked, self._before_asked = arrays, self._written
+        self._asked = arrays
         if self.device.is_cuda:
+            before = self._written
             # Held here: where there are many arrays, memory for some may be given up for that of the next.
             self._beside_asked = self._beside("asked", arrays)
             self._beside_asked.take(arrays)
             self._answered = self.device.stream.record_event(self._answered)
+            self._before_asked = before
 
     @property
     def answered(self) -> bool:
@@ -172,9 +174,10 @@ class Exchange:
             self._wait()
         for view, (_, values) in zip(beside.views, pairs):
             view[...] = values
-        beside.give(arrays)
+        # First: a copy that is on its way when it is interrupted must have its number.
         self._written += 1
         beside.written = self._written
+        beside.give(arrays)
 
     def _wait(self) -> None:
         with waiting():

@@ -3,26 +3,46 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
 
+from .interrupts import put_off
+
+_counting = threading.Lock()
+_capturing, _collected = 0, False
+"""Captures of this process that are under way, and whether Python collected cycles before the first."""
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Python collects no cycles: in a recorder's thread it might come upon arrays of a run that has ended, and free
+    them while this thread captures. Warp puts off what it is to free then, but looks without a lock whether it must:
+    of forty runs with recorders, one after the other, two were told of CUDA's error 906 (legacy stream, capturing).
+    """
+    global _capturing, _collected
+    with _counting:
+        if _capturing == 0:
+            _collected = gc.isenabled()
+            gc.disable()
+        _capturing += 1
+    try:
+        yield
+    finally:
+        with _counting:
+            _capturing -= 1
+            if _capturing == 0 and _collected:
+                gc.enable()
+
 
 def captured(device: Any, launch: Callable[[], None]) -> Any:
-    """The graph of what `launch` launches, which does not run.
-
-    Python collects no cycles meanwhile: a recorder's thread might come upon arrays of a run that has ended, and a GPU
-    refuses to free any while launches are captured.
-    """
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        with wp.ScopedCapture(device=device) as capture:
-            launch()
-    finally:
-        if collecting:
-            gc.enable()
+    """The graph of what `launch` launches, which does not run. An interruption waits: captures within captures of
+    Warp's would not end well."""
+    with put_off(), _uncollected(), wp.ScopedCapture(device=device) as capture:
+        launch()
     return capture.graph
 
 

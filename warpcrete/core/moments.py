@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -37,6 +37,7 @@ class Pool:
 
     def __init__(self) -> None:
         self._free: dict[tuple[str, ...], tuple[Any, deque[Beside]]] = {}
+        self._outdated: list[deque[Beside]] = []
         self._one: wp.array | None = None
 
     def one(self, device: Any) -> wp.array:
@@ -46,12 +47,16 @@ class Pool:
         return self._one
 
     def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[Beside, deque[Beside]]:
-        """Memory for copies of arrays, and where it is to be put back. What they had elsewhere, with other sizes or
+        """Memory for copies of arrays, and where it is to be put back. What they had when they were of other sizes, or
         at other places, is given up.
         """
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
+            if names in self._free:
+                self._outdated.append(self._free[names][1])
             self._free[names] = where, deque()
+        for outdated in self._outdated:  # here, since no recorder's thread is to give memory back to the driver
+            outdated.clear()
         free = self._free[names][1]
         # Other threads put back; one alone takes.
         return free.pop() if free else Beside([*arrays.values()], device), free
@@ -95,7 +100,7 @@ class Moment:
     steps: int
     found: dict[str, Any]
     """By the name that it is read by; of what is on its way the copies that have it."""
-    worked_out: dict[str, Any] = field(default_factory=dict)
+    worked_out: dict[Hashable, Any] = field(default_factory=dict)
     """From that, by names, for all who draw this moment."""
 
     def read(self, name: str) -> Any:

@@ -224,13 +224,14 @@ class Batch(JointArrays):
     def device_changed(self) -> None:
         """Flags or clocks on the device are, or are about to become, others than those read last."""
         unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
-        if self.parallel:
-            if self._unsent:
-                assert self._flags is not None
-                unsent.append((self.flags, self._flags))
-            self._flags = self._clock = None
+        if self.parallel and self._unsent:
+            assert self._flags is not None
+            unsent.append((self.flags, self._flags))
         if unsent:
             self.exchange.write(*unsent)
+        # Not before: an interruption of that must not lose what was to be sent.
+        if self.parallel:
+            self._flags = self._clock = None
         self._walls = None
         self._unsent = self._row_unsent = False
 

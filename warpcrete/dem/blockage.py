@@ -83,7 +83,7 @@ class BlockageWatch:
         return self._standing is None and self._numbers is not None
 
     def begin(self) -> None:
-        """Begin a look at the concrete as it is now, which the next row completes."""
+        """Begin a look at the concrete as it is now, which the next row completes if it is due then."""
         self._begun = self._reading()
 
     def __call__(self, row: dict[str, float]) -> None:

@@ -209,7 +209,7 @@ class ElementDisplay(Display):
             s = axis.along(self.read("bodies.position"))
             return s, *axis.at(s)
 
-        return self.worked_out(f"on axis {id(axis)}", found)
+        return self.worked_out(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;
@@ -218,14 +218,14 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # the nearest to the quantiles
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Of all bodies, those beyond the ends without weight: to pick those between takes longer.
         apart = position - places
         distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
         volume = self.read("bodies.size").astype(float) ** 3 * ((along >= ends[0]) & (along <= ends[1]))
-        ring = np.minimum((RINGS * distance / pipe.radius).astype(int), RINGS - 1)
+        ring = np.clip(np.nan_to_num(RINGS * distance / pipe.radius), 0, RINGS - 1).astype(int)
         weight = np.bincount(ring, volume, RINGS)
         there = weight > 0
         mean = np.bincount(ring, volume * speed, RINGS)[there] / weight[there]

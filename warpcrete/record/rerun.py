@@ -29,6 +29,16 @@ MARGIN = 512
 """Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
 
 
+def with_values(tensor: Any, values: np.ndarray) -> Any:
+    """Arrow's array of one tensor of Rerun's with other values, of the same number and type."""
+    union = tensor.field("buffer")  # of lists, one for each type
+    kind = union.type_codes[0].as_py()
+    members = [union.field(number) for number in range(union.type.num_fields)]
+    members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
+    buffer = type(union).from_buffers(union.type, 1, union.buffers()[:3], children=members)
+    return type(tensor).from_arrays([tensor.field("shape"), tensor.field("names"), buffer], fields=list(tensor.type))
+
+
 class RerunRecorder(Recorder):
     """Bodies (every clump drawn by its own spheres), moving walls, curves and profiles on one timeline, a legend, and
     a view of the inside.
@@ -194,13 +204,7 @@ class RerunRecorder(Recorder):
         like = self._tensors.get(len(values))
         if like is None:
             self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
-            return like
-        union = like.field("buffer")
-        kind = union.type_codes[0].as_py()
-        members = [union.field(number) for number in range(union.type.num_fields)]
-        members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
-        buffer = type(union).from_buffers(union.type, 1, union.buffers()[:3], children=members)
-        return type(like).from_arrays([like.field("shape"), like.field("names"), buffer], fields=list(like.type))
+        return with_values(like, values)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""

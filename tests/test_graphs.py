@@ -1,0 +1,132 @@
+"""Launches as graphs, and what goes between host and device with them."""
+
+import gc
+
+import numpy as np
+import pytest
+import warp as wp
+from pumping import TINY
+
+from warpcrete import Simulation, scenes
+from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.exchange import Exchange, Reading
+from warpcrete.core.graphs import AtOnce, Zero, captured
+from warpcrete.core.launching import Launcher
+from warpcrete.dem.probes import begin_sums, body_sums, contact_sums
+from warpcrete.kernels.common.control import ESTIMATED
+
+
+def test_python_collects_no_cycles_while_launches_are_captured(device):
+    """Also where one is captured while another is; after each, as before, errors included."""
+    array, seen = wp.ones(4, dtype=wp.float32, device=device), []
+
+    def launch():
+        seen.append(gc.isenabled())
+        Zero(array)()
+
+    for collects in (True, False):
+        (gc.enable if collects else gc.disable)()
+        try:
+            captured(find_device(device), launch)
+            assert gc.isenabled() == collects and seen.pop() is False
+            with pytest.raises(ZeroDivisionError):
+                captured(find_device(device), lambda: 1 / 0)
+            assert gc.isenabled() == collects
+        finally:
+            gc.enable()
+
+
+def test_what_is_read_with_a_launch_is_as_that_left_it(device):
+    place = find_device(device)
+    array, other = wp.ones(4, dtype=wp.int32, device=device), wp.zeros((0, 3), dtype=wp.float64, device=device)
+    reading = Reading([Zero(array)], [array, other], place)
+    for value in (3, 5):
+        array.fill_(value)
+        wait = reading.begin()
+        array.fill_(7)
+        zeros, none = wait()
+        assert zeros.tolist() == [0] * 4 and none.shape == (0, 3)
+    assert array.numpy().tolist() == [7] * 4
+
+
+def test_writes_of_several_arrays_come_in_their_order(device):
+    """Some of them together, some alone, one after the other without a look at any."""
+    exchange = Exchange(find_device(device))
+    rows, flags = (wp.zeros(3, dtype=wp.int32, device=device) for _ in range(2))
+    for turn in range(9):
+        values = np.full(3, turn, np.int32)
+        exchange.write(*[[(rows, values), (flags, values)], [(flags, values)], [(rows, values)]][turn % 3])
+        values[:] = -1  # what was written was copied
+        if turn % 4 == 3:
+            exchange.ask(rows)
+            exchange.answer()
+    assert [each.tolist() for each in exchange.read(rows, flags)] == [[8] * 3, [7] * 3]
+
+
+def test_an_interruption_loses_nothing_that_was_to_be_sent(monkeypatch):
+    """What a run notes on the host goes to the device with the next launch, if not with this one."""
+    with share_out_like_a_gpu():
+        simulation = Simulation(scenes.pipe(**TINY), device="cpu")
+        simulation.prepare()
+        batch, write, calls = simulation.stepper.batch, Exchange.write, []
+
+        def interrupted(self, *pairs):
+            calls.append(pairs)
+            if len(calls) == 1:
+                raise KeyboardInterrupt
+            write(self, *pairs)
+
+        monkeypatch.setattr(Exchange, "write", interrupted)
+        batch.estimated(0, 7)
+        with pytest.raises(KeyboardInterrupt):
+            batch.device_changed()
+        assert simulation.stepper.time == 0 and len(calls) == 1  # something looks at the clock
+        batch.device_changed()
+        assert len(calls) == 2 and batch.flags.numpy()[0, int(ESTIMATED)] == 7
+
+
+def test_sums_that_are_begun_are_those_of_then(device):
+    simulation = Simulation(scenes.pipe(**TINY), device=device)
+    simulation.prepare()
+    model, state, stepper = simulation.model, simulation.state, simulation.stepper
+    for _ in range(3):
+        walls = stepper.batch.host_walls(state.index).copy()
+        bodies, contacts = body_sums(model, state), contact_sums(model, state)
+        wait = begin_sums(model, state)
+        stepper.take(30)
+        then = wait()
+        assert then[0].kinetic_energy == bodies.kinetic_energy and then[0].reach == bodies.reach
+        assert then[1].elastic_energy == contacts.elastic_energy and then[1].contacts == contacts.contacts
+        assert np.array_equal(then[2], walls)
+        assert body_sums(model, state).kinetic_energy != bodies.kinetic_energy
+
+
+def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypatch):
+    if not find_device(device).is_cuda:
+        pytest.skip("a GPU's: a CPU estimates between two launches")
+    scene = scenes.pipe(**TINY | dict(travel=0.03))
+    within, replay = [], Launcher.replay
+
+    def counting(self, step, alone, sizes, ended, behind=None):
+        within.append(behind is not None)
+        replay(self, step, alone, sizes, ended, behind)
+
+    def apart(self, step, alone, sizes, ended, behind=None):
+        replay(self, step, alone, sizes, ended)
+        if behind is not None:
+            behind()
+
+    hashes = []
+    for way in (counting, apart):
+        monkeypatch.setattr(Launcher, "replay", way)
+        hashes.append(Simulation(scene, device=device).run().result["state_hash"])
+    assert hashes[0] == hashes[1] and sum(within) > 20
+
+
+def test_stages_are_launched_at_once_again_and_again(device):
+    array = wp.ones(4, dtype=wp.float32, device=device)
+    both = AtOnce([Zero(array)], find_device(device))
+    for _ in range(2):
+        array.fill_(1.0)
+        both()
+        assert not array.numpy().any()
