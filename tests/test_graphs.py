@@ -104,7 +104,7 @@ def test_sums_that_are_begun_are_those_of_then(device):
 def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypatch):
     if not find_device(device).is_cuda:
         pytest.skip("a GPU's: a CPU estimates between two launches")
-    scene = scenes.pipe(**TINY | dict(travel=0.03))
+    scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=0.05)
     within, replay = [], Launcher.replay
 
     def counting(self, step, alone, sizes, ended, behind=None):
@@ -120,7 +120,7 @@ def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypat
     for way in (counting, apart):
         monkeypatch.setattr(Launcher, "replay", way)
         hashes.append(Simulation(scene, device=device).run().result["state_hash"])
-    assert hashes[0] == hashes[1] and sum(within) > 20
+    assert hashes[0] == hashes[1] and sum(within) > 10
 
 
 def test_stages_are_launched_at_once_again_and_again(device):
