@@ -10,7 +10,7 @@ from pumping import TINY
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.core.exchange import Exchange, Reading
-from warpcrete.core.graphs import AtOnce, Zero, captured
+from warpcrete.core.graphs import AtOnce, Zero, _uncollected, captured
 from warpcrete.core.launching import Launcher
 from warpcrete.dem.probes import begin_sums, body_sums, contact_sums
 from warpcrete.kernels.common.control import ESTIMATED
@@ -31,6 +31,11 @@ def test_python_collects_no_cycles_while_launches_are_captured(device):
             assert gc.isenabled() == collects and seen.pop() is False
             with pytest.raises(ZeroDivisionError):
                 captured(find_device(device), lambda: 1 / 0)
+            assert gc.isenabled() == collects
+            with _uncollected():
+                with _uncollected():  # of another thread's run
+                    assert not gc.isenabled()
+                assert not gc.isenabled()
             assert gc.isenabled() == collects
         finally:
             gc.enable()
