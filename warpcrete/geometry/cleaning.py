@@ -1,0 +1,78 @@
+"""Cleaning of triangle meshes: one corner for each place, one triangle for each surface."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+COINCIDENT = 1e-6
+"""Distance below which two corners are one, over the largest coordinate of the mesh. STL files in single precision are
+exact to 6e-8."""
+
+
+def default_tolerance(vertices: np.ndarray) -> float:
+    """Return the distance [m] below which :func:`clean` takes two corners of this mesh for one."""
+    return COINCIDENT * float(np.abs(vertices).max(initial=0.0))
+
+
+def clean(
+    vertices: np.ndarray, faces: np.ndarray, tolerance: float | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Merge coincident corners of a mesh, then drop triangles without area and repeated ones.
+
+    Two triangles with the same three corners are repeated, whichever way they wind: the first one stays. A mesh that
+    has no such fault keeps its arrays bit by bit.
+
+    Args:
+        vertices: Corners [m], shape (v, 3).
+        faces: Corner numbers of each triangle, shape (f, 3).
+        tolerance: Distance below which two corners become one, and height below which a triangle has no area [m];
+            :func:`default_tolerance` of the mesh if None.
+
+    Returns:
+        The corners that are still used [m], shape (w, 3); the triangles, shape (g, 3); and for each of these triangles
+        its number in `faces`, shape (g,), increasing.
+    """
+    if tolerance is None:
+        tolerance = default_tolerance(vertices)
+    merged = merged_corners(vertices, tolerance)[faces]
+    a, b, c = (vertices[merged[:, k]] for k in range(3))
+    longest = np.sqrt(np.max([np.sum((q - p) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
+    flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= tolerance * longest
+    origin = np.flatnonzero(~flat)
+    _, first = np.unique(np.sort(merged[origin], axis=1), axis=0, return_index=True)
+    origin = origin[np.sort(first)]
+    used, corners = np.unique(merged[origin], return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3).astype(faces.dtype), origin
+
+
+def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return for each corner the lowest number of a corner at its place, shape (v,).
+
+    Corners closer than half the `tolerance` [m] in each direction are always merged; none that are farther apart than
+    the tolerance in one direction are, unless others lie between them.
+    """
+    lowest = np.arange(len(vertices))
+    if tolerance <= 0 or len(vertices) == 0:
+        return lowest
+    # Corners that lie close together share a cell in at least one of eight grids, which are shifted by half a cell.
+    places = (vertices - vertices.min(axis=0)) / tolerance
+    grids = [_cells(places + np.array(shift)) for shift in itertools.product((0.0, 0.5), repeat=3)]
+    while True:
+        before = lowest.copy()
+        for cell in grids:
+            least = np.full(cell.max() + 1, len(vertices))
+            np.minimum.at(least, cell, lowest)
+            lowest = least[cell]
+        if np.array_equal(lowest, before):
+            return lowest
+
+
+def _cells(places: np.ndarray) -> np.ndarray:
+    """Return the number of the unit cell that holds each of `places` (n, 3), counted over the cells in use."""
+    number = np.zeros(len(places), np.int64)
+    for axis in np.floor(places).astype(np.int64).T:
+        _, column = np.unique(axis, return_inverse=True)
+        _, number = np.unique(number * (int(column.max()) + 1) + column, return_inverse=True)
+    return number
