@@ -6,7 +6,10 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any
+
+import numpy as np
 
 from warpcrete.core.concretes import is_file
 from warpcrete.core.errors import refuse
@@ -15,17 +18,18 @@ from warpcrete.core.parameters import Above, FileIf, Needs, OneOf, Within, scene
 from warpcrete.core.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
+from warpcrete.geometry.crossings import meeting
 from warpcrete.geometry.lines import check_crossing, read_line
-from warpcrete.geometry.mesh_parts import between_pipes
+from warpcrete.geometry.mesh_parts import WAYS, bore_of
 from warpcrete.geometry.meshes import load
-from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line
+from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line, said_by_mesh
 from warpcrete.geometry.walls import MeshWall
 from warpcrete.mps.column import FLOW, ConcreteParameters
 from warpcrete.mps.mixes import CONSTANTS, concrete_of
 from warpcrete.mps.part.layout import BESIDE
 from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings, Section
 
-UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level")
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
 """Of the friction of straight stretches, against theory."""
 REMARKS = ("concrete enters as a plug, through a plane, and leaves where nothing holds it",)
@@ -46,12 +50,13 @@ class PartParameters(ConcreteParameters, PartSettings):
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """What a line's file says of flow and concrete, and a concrete's file of its constants."""
-        said = said_by_line(values)
+        """Return what the file of a line, a concrete or a mesh says of other parameters."""
+        said = {**said_by_line(values), **said_by_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
-    unit: Annotated[str, "how the pipe goes: straight up or level, or with a bend between two straight stretches",
-                    OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
+    unit: Annotated[str, "how the pipe goes: straight up or level, with a bend between two straight stretches, or as "
+                    "the bore of the mesh in wall does, between two straight stretches; mesh is the default if there "
+                    "is a wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
     diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
     straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
                         ALONE] = 0.3  # fmt: skip
@@ -61,14 +66,12 @@ class PartParameters(ConcreteParameters, PartSettings):
                                "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
-    wall: Annotated[str | None, "mesh file of the bore (STL, OBJ ...) in place of the round pipe: its axis begins at "
-                    "the origin, along z upright, along x level, and bends as the unit does", ALONE] = None  # fmt: skip
+    wall: Annotated[str | None, "mesh file (STL, OBJ ...) whose bore stands for the round pipe: it begins at the "
+                    "origin and leads along x, y or z there, or goes as the other units do", ALONE] = None  # fmt: skip
     wall_scale: Annotated[
-        float, "of the mesh file's unit: 0.001 for mm", Needs("wall", _is_given, "is given"), Above()
-    ] = 1.0
-    bore_length: Annotated[float | None, "of a mesh that is the middle of a straight unit alone: round pipe of "
-                           "diameter is put before it and of outlet_diameter behind [m]",
-                           Needs("wall", _is_given, "is given"), Above()] = None  # fmt: skip
+        float, "factor from the unit of the mesh file to metres: 0.001 for mm", Needs("wall", _is_given, "is given"),
+        Above()
+    ] = 1.0  # fmt: skip
     line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
                     "flow and concrete for those that are not given; it must begin and end straight",
                     FileIf(is_file)] = None  # fmt: skip
@@ -115,32 +118,52 @@ class _Course:
 def _unit(given: PartParameters) -> _Course:
     """A part alone."""
     bends = given.unit.startswith("bend")
+    if given.unit == "mesh":
+        return _mesh(given)
     axis = _axis(given, bends)
     bores = Bores((0.0,), (given.diameter / 2,))
     if given.wall is not None:
-        return _Course(axis, bores, *_mesh(given, axis, bends))
+        _check_wall(given)
+        mesh = load(given.wall, "wall", given.wall_scale)
+        return _Course(axis, bores, MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces))
     if given.outlet_diameter is not None:
         before = axis.length - given.straight - given.taper if bends else given.straight
         bores = Bores((before, before + given.taper), (given.diameter / 2, given.outlet_diameter / 2))
     return _Course(axis, bores)
 
 
-def _mesh(given: PartParameters, axis: Axis, bends: bool) -> tuple[MeshWall, tuple[float, float] | None]:
-    """The wall of a mesh file, and between which arc lengths it is more than round pipe [m]."""
-    assert given.wall is not None
-    if given.outlet_diameter is not None and given.bore_length is None:
+def _check_wall(given: PartParameters) -> None:
+    """Refuse what a mesh decides itself."""
+    if given.outlet_diameter is not None:
         refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
     if given.slip_thickness > 0:
         refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
+
+
+def _mesh(given: PartParameters) -> _Course:
+    """Return the course of a mesh's bore, which goes on straight before its start and behind its end."""
+    if given.wall is None:
+        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
+    _check_wall(given)
+    bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
+    inner = bore.axis
+    begin, end = given.straight, given.straight + inner.length
+    start = np.array(inner.start) - begin * np.array(inner.tangent)
+    pieces = (Line(given.straight), *inner.pieces, Line(given.straight))
+    axis = joined(Axis(tuple(start.tolist()), inner.tangent, pieces))
     mesh = load(given.wall, "wall", given.wall_scale)
-    vertices, faces, insert = mesh.vertices, mesh.faces, None
-    if given.bore_length is not None:
-        if bends:
-            refuse("bore_length", given.bore_length, "is of a straight unit", "take unit horizontal or vertical")
-        insert = (given.straight, given.straight + given.bore_length)
-        radii = (given.diameter / 2, (given.outlet_diameter or given.diameter) / 2)
-        vertices, faces = between_pipes(mesh, axis, insert, radii)
-    return MeshWall(name=str(given.wall), vertices=vertices, faces=faces), insert
+    wall = MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces)
+    wide, gap = max(bore.radii), APART * given.spacing
+    spans = [(given.straight, 2 * wide, 2), (inner.length, 2 * wide, 2 + int(inner.length / wide)),
+             (given.straight, 2 * wide, 2)]  # fmt: skip
+    if meeting(axis, spans, gap) is not None:
+        refuse(
+            "wall", given.wall, f"leads within {gap:.3g} m of itself", "take a smaller spacing or straight, or cut it"
+        )
+    bores = Bores((0.0,), (given.diameter / 2,))
+    check_return(axis, Bores((0.0,), (wide,)), aside=BESIDE * wide + gap)
+    parts = (Section("straight", 0.0, begin), Section("bore", begin, end), Section("straight", end, axis.length))
+    return _Course(axis, bores, wall, (begin, end), parts)
 
 
 def _line(given: PartParameters) -> _Course:
@@ -168,8 +191,6 @@ def _axis(given: PartParameters, bends: bool) -> Axis:
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     # The cone lies in the middle of a straight unit, and a stretch behind a bend.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
-    if given.wall is not None and given.bore_length is not None:
-        narrowing = given.straight + given.bore_length
     if not bends:
         return Axis(
             origin, up if given.unit == "vertical" else along, (Line(given.straight + (narrowing or given.straight)),)

@@ -34,7 +34,8 @@ from warpcrete.dem.scene import (
 from warpcrete.dem.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
-from warpcrete.geometry.meshes import Bore, bore_probes, check_pipe, enclosed, load
+from warpcrete.geometry.inner_surface import pipe_in
+from warpcrete.geometry.meshes import Bore, bore_probes, enclosed, load
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed, Wall
 
 SOURCE = "Zhan et al. 2019"
@@ -209,8 +210,8 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
         vertices, faces = axis.tube(given.radius, given.facets, before=2 * given.radius, after=after)
         return MeshWall(name="pipe", vertices=vertices, faces=faces)
     mesh = load(given.wall, "wall", given.wall_scale)
-    check_pipe(mesh, "wall", given.wall, axis, given.radius, length)
-    return MeshWall(name="pipe", vertices=mesh.vertices, faces=mesh.faces)
+    surface = pipe_in(mesh.vertices, mesh.faces, "wall", given.wall, axis, given.radius, length)
+    return MeshWall(name="pipe", vertices=surface.vertices, faces=surface.faces)
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:

@@ -17,7 +17,7 @@ from warpcrete.geometry.mesh_parts import bore_of
 from warpcrete.geometry.meshes import enclosed, rays
 
 SMALL = dict(diameter=0.08, straight=0.15, size_min=12e-3, size_max=20e-3, travel=0.04, settle=0.1, gravity=0.0,
-             flow=1e-3, plug_ball=14e-3, unit="horizontal")  # fmt: skip
+             flow=1e-3, plug_ball=14e-3, unit="mesh")  # fmt: skip
 WAIST = {"radii": [0.04, 0.04, 0.028, 0.028, 0.04, 0.04], "at": [0, 0.04, 0.08, 0.12, 0.16, 0.2]}
 SHAPES = {
     "cylinder": ({"radii": [0.04, 0.04]}, 0.08),
@@ -29,14 +29,14 @@ SHAPES = {
 
 def made(folder, shape) -> dict[str, Any]:
     """Parameters of a part with a mesh of 0.2 m in its middle."""
-    given, outlet = SHAPES[shape]
+    given, _ = SHAPES[shape]
     path = tube(folder / "bore.stl", length=0.2, **given)
     if shape == "letter box":  # half as high as wide in its middle
         mesh = trimesh.load_mesh(path)
         x = mesh.vertices[:, 0] / 200
         low = 1 - 0.5 * np.sin(np.pi * np.clip((x - 0.2) / 0.6, 0, 1)) ** 2
         trimesh.Trimesh(mesh.vertices * np.stack([x**0, x**0, low], 1), mesh.faces).export(path)
-    return {"wall": str(path), "wall_scale": 1e-3, "bore_length": 0.2, "outlet_diameter": outlet}
+    return {"wall": str(path), "wall_scale": 1e-3}
 
 
 def thick(folder, radii) -> str:
@@ -78,8 +78,8 @@ def test_aggregates_are_packed_inside_the_mesh(tmp_path, shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_mesh_is_known_by_its_area_and_by_what_is_free(tmp_path, shape):
-    given = made(tmp_path, shape)
-    mesh = bore_of("wall", tmp_path / "bore.stl", 1e-3, 0.2, (0.08, given["outlet_diameter"]))
+    made(tmp_path, shape)
+    mesh = bore_of(("wall", "wall_scale"), tmp_path / "bore.stl", 1e-3, 0.2, (0.08, SHAPES[shape][1]))
     s, area, least = np.array(mesh.places), np.array(mesh.radii), np.array(mesh.least)
     assert np.all(np.diff(s) > 0) and 0 < s[0] < 0.004 and 0.196 < s[-1] < 0.2
     if shape == "letter box":
@@ -95,8 +95,7 @@ def test_a_mesh_is_known_by_its_area_and_by_what_is_free(tmp_path, shape):
 def test_a_thick_wall_is_the_bore_in_it(tmp_path):
     """What a wall of 5 mm has outside is no place for aggregates."""
     path = thick(tmp_path, [0.04, 0.03])
-    scene: Any = scenes.part_dem(**SMALL | {"wall": path, "wall_scale": 1e-3, "bore_length": 0.2,
-                                            "outlet_diameter": 0.06})  # fmt: skip
+    scene: Any = scenes.part_dem(**SMALL | {"wall": path, "wall_scale": 1e-3})
     thin: Any = scenes.part_dem(**SMALL | made(tmp_path, "cone"))
     assert scene.stations.bores.radii == pytest.approx(thin.stations.bores.radii, rel=1e-3)
     bodies, _ = pack(scene.fill, contact=scene.contact, seed=0, device="cpu")
@@ -142,12 +141,10 @@ def test_the_wall_of_a_line_has_no_gap_and_a_mesh_stands_upright_in_it(tmp_path,
     "changed, words",
     [
         ({"size_max": 0.041}, r"^size_max = 0\.041: must be below the pipe's diameter, 0\.040\d* m"),
-        ({"unit": "vertical"}, r"^wall = '.*bore\.stl': is of unit horizontal, not vertical; take that, or a line"),
-        ({"bore_length": None}, r"^bore_length = None: must be given with a wall"),
-        ({"bore_length": 0.3}, r"^wall: file = '.*bore\.stl': goes from x = 0 to 0\.2 m, and the part"),
-        ({"wall": "nowhere.stl"}, r"^wall: file = '.*nowhere\.stl': is no file"),
-        ({"outlet_diameter": 0.06}, r"^wall: file = '.*bore\.stl': is 0\.0\d* m wide where it ends"),
-        ({"taper": 0.1}, r"^taper = 0\.1: means nothing unless wall is not given"),
+        ({"unit": "vertical"}, r"^wall = '.*bore\.stl': is for unit mesh, not vertical; leave out the unit"),
+        ({"wall": "nowhere.stl"}, r"^wall = '.*nowhere\.stl': is no file"),
+        ({"outlet_diameter": 0.06}, r"^outlet_diameter = 0\.06: is the mesh's own"),
+        ({"taper": 0.1}, r"^taper = 0\.1: means nothing unless outlet_diameter is given"),
         ({"wall": None}, r"^wall_scale = 0\.001: means nothing unless wall is given"),
     ],
 )  # fmt: skip

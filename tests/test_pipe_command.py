@@ -182,7 +182,7 @@ def test_bad_files_and_folders(tmp_path):
     taken.mkdir()
     before = sorted(tmp_path.iterdir())
     for options, words in (
-        (["--wall", hole, "--out", tmp_path / "run"], "is open"),
+        (["--wall", hole, "--out", tmp_path / "run"], "has gaps along the axis"),
         (["--wall", garbage, "--out", tmp_path / "run"], "garbage.stl"),
         (["--out", taken], "exists already"),
     ):

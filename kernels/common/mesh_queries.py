@@ -17,6 +17,18 @@ def signed_distances(
 
 
 @wp.kernel(enable_backward=False)
+def distances(
+    mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
+):
+    """Compute the distance of each point to the surface, or `reach` where nothing is that near."""
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
+    distance[i] = reach
+    if query.result:
+        distance[i] = wp.length(points[i] - wp.mesh_eval_position(mesh, query.face, query.u, query.v))
+
+
+@wp.kernel(enable_backward=False)
 def ray_distances(
     mesh: wp.uint64,
     origins: wp.array(dtype=wp.vec3),

@@ -18,8 +18,8 @@ from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
 from ..geometry.lines import Part, PipeLine, read_line
-from ..geometry.mesh_parts import Insert, bore_of
-from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line
+from ..geometry.mesh_parts import FIT, WAYS, Insert, bore_of
+from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line, said_by_mesh
 from .pumping import (
     COARSENINGS,
     UPRIGHT,
@@ -34,7 +34,7 @@ from .pumping import (
     coarser,
 )
 
-UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level")
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is not given")
 
 
@@ -49,8 +49,9 @@ OF_MESH = Needs("wall", _is_given, "is given")
 class CourseParameters:
     """Pipe."""
 
-    unit: Annotated[str, "how the pipe goes: straight up or level, or with a bend between two straight stretches",
-                    OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
+    unit: Annotated[str, "how the pipe goes: straight up or level, with a bend between two straight stretches, or as "
+                    "the bore of the mesh in wall does, between two straight stretches; mesh is the default if there "
+                    "is a wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
     diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
     straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
                         ALONE] = 0.3  # fmt: skip
@@ -60,12 +61,10 @@ class CourseParameters:
                                "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Needs("wall", lambda wall: wall is None, "is not given"), Above()] = 0.3  # fmt: skip
-    wall: Annotated[str | None, "mesh file of a straight bore (STL, OBJ ...), which begins at its origin and leads "
-                    "along its x, as the middle of unit horizontal; what the axis sees of it is the bore", ALONE,
-                    FileIf(bool)] = None  # fmt: skip
-    wall_scale: Annotated[float, "of the mesh file's unit: 0.001 for mm", OF_MESH, Above()] = 1.0
-    bore_length: Annotated[float | None, "of the mesh; round pipe of diameter is put before it and of outlet_diameter "
-                           "behind [m]", OF_MESH, Above()] = None  # fmt: skip
+    wall: Annotated[str | None, "mesh file (STL, OBJ ...) whose bore is the part: it begins at the mesh's origin and "
+                    "leads along its x there", ALONE, FileIf(bool)] = None  # fmt: skip
+    wall_scale: Annotated[float, "factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
+                          Above()] = 1.0  # fmt: skip
     line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
                     "flow and concrete for those that are not given; it must begin and end straight",
                     FileIf(is_file)] = None  # fmt: skip
@@ -94,8 +93,8 @@ class PartElements(
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """What a line's file says of flow and concrete, and what the concrete stands for."""
-        said = said_by_line(values)
+        """Return what the file of a line, a mesh or a concrete says of other parameters."""
+        said = {**said_by_line(values), **said_by_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 
 
@@ -184,20 +183,27 @@ def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
 
 
 def _meshed(given: PartElements) -> PipeLine:
-    """A level pipe with a bore from a mesh in its middle."""
+    """Return a level pipe with the bore of a mesh in its middle."""
     assert given.wall is not None
-    if given.unit != "horizontal":
-        refuse("wall", given.wall, f"is of unit horizontal, not {given.unit}", "take that, or a line with a bore")
-    if given.bore_length is None:
-        refuse("bore_length", None, "must be given with a wall: that of the mesh along its x [m]")
-    wide, outlet = given.diameter, given.outlet_diameter or given.diameter
-    mesh = bore_of("wall", Path(given.wall), given.wall_scale, given.bore_length, (wide, outlet))
+    if given.unit != "mesh":
+        refuse(
+            "wall", given.wall, f"is for unit mesh, not {given.unit}", "leave out the unit, or take a line with a bore"
+        )
+    if given.outlet_diameter is not None:
+        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+    mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
+    wide, outlet = mesh.ends
+    if abs(wide / given.diameter - 1) > FIT:
+        refuse("diameter", given.diameter, f"is not that of the mesh, {wide:.4g} m at the start", "leave it out")
+    ends, _ = mesh.axis.at([0.0, mesh.axis.length])
+    length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
+    level = float(mesh.axis.at(length)[1][0, 2])
     parts = (
         Part(1, "straight", wide, given.straight, 0.0, wide),
-        Part(2, "bore", wide, given.bore_length, 0.0, outlet, mesh=mesh),
-        Part(3, "straight", outlet, given.straight, 0.0, outlet),
+        Part(2, "bore", wide, length, rise, outlet, mesh=mesh),
+        Part(3, "straight", outlet, given.straight, level * given.straight, outlet),
     )
-    pieces = tuple(Line(part.length) for part in parts)
+    pieces = (Line(given.straight), *mesh.axis.pieces, Line(given.straight))
     return PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
 
 

@@ -22,7 +22,7 @@ def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
     pieces: list[Line | Arc] = []
     tangents = _tangents(points, tangent)
     for place in range(len(points) - 1):
-        pieces += _biarc(points[place], tangents[place], points[place + 1], tangents[place + 1])
+        pieces += joining(points[place], tangents[place], points[place + 1], tangents[place + 1])
     return pieces
 
 
@@ -49,7 +49,7 @@ def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndar
     return _unit(_unit(one) * np.linalg.norm(other) + _unit(other) * np.linalg.norm(one))
 
 
-def _biarc(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
+def joining(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
     """Two arcs from one point and tangent to another; their tangents are of equal length d, |q1 q2| = 2 d."""
     chord, both = end - begin, t0 + t1
     bent = 2 * (1 - float(t0 @ t1))

@@ -17,7 +17,7 @@ from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting
 from .curves import begins, through
-from .mesh_parts import MeshBore, bore_of
+from .mesh_parts import MeshBore, bore_of, directions_at, turned
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
@@ -42,6 +42,7 @@ ASKEW = 20.0
 """Angle between the line and where a hose's points begin to lead, up to which it is taken to begin along the line
 [degrees]."""
 UP = np.array([0.0, 0.0, 1.0])
+Pieces = Sequence[Line | Arc]
 PLACES = {"bend": 9, "hose": 33}
 """Along a part, between which it is taken to be straight when a line is looked at for crossings."""
 
@@ -247,6 +248,7 @@ class _Course:
     """Where a line has come to, part by part."""
 
     def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
+        self.begin: tuple[float, float, float] = tuple(tangent.tolist())
         self.tangent, self.diameter, self.folder = tangent, diameter, folder
         self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
         """Level direction in which the line last went."""
@@ -270,16 +272,12 @@ class _Course:
                 refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
             return amount(f"part {number}, {kind}: {key}", said.get(key, default), unit)
 
-        if kind == "hose":
-            part, pieces = self._hose(number, said)
-        else:
-            part, piece = getattr(self, f"_{kind}")(number, said, get)
-            pieces = [piece]
+        part, pieces = getattr(self, f"_{kind}")(number, said, get)
         self.parts.append(part)
         self.pieces += pieces
         self.diameter = part.outlet
 
-    def _straight(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
+    def _straight(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         length = get("length", "m")
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
@@ -289,9 +287,9 @@ class _Course:
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
             refuse(f"part {number}, straight: diameter", said["diameter"], "does not fit a part before it of "
                    f"{self.diameter:g} m", "put a reducer between them")  # fmt: skip
-        return Part(number, "straight", self.diameter, length, rise, self.diameter), Line(length)
+        return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
-    def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Arc]:
+    def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         radius = get("radius", "m")
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
@@ -318,7 +316,7 @@ class _Course:
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
         piece = Arc(radius, turn, (float(across[0]), float(across[1]), float(across[2])))
         self._turn(math.cos(turn) * self.tangent + math.sin(turn) * across)
-        return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), piece
+        return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
         """Go on in another direction."""
@@ -328,7 +326,7 @@ class _Course:
         if np.linalg.norm(level) > 1e-6:
             self.heading = level / np.linalg.norm(level)
 
-    def _hose(self, number: int, said: Mapping[str, Any]) -> tuple[Part, list[Line | Arc]]:
+    def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         """A curve through points, which are told from where the hose begins: ahead, to the left and up."""
         field = f"part {number}, hose"
         given = said.get("points")
@@ -359,7 +357,7 @@ class _Course:
         self._turn(end)
         return Part(number, "hose", self.diameter, length, rise, self.diameter, curving=1 + more, layer=layer), pieces
 
-    def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
+    def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         outlet, length = get("to", "m"), get("length", "m")
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
@@ -369,19 +367,32 @@ class _Course:
             refuse(f"part {number}, reducer: length", length, "must be half of what the diameter changes, at least",
                    f"take {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
-        return Part(number, "reducer", self.diameter, length, rise, outlet), Line(length)
+        return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 
-    def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Line]:
+    def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         field, file = f"part {number}, bore", said.get("file")
         if not isinstance(file, str) or not file:
             refuse(f"{field}: file", file, "must name a mesh file", "as 'file: valve.stl'")
-        length, outlet, scale = get("length", "m"), get("outlet", "m", self.diameter), get("scale", "1", 1.0)
+        length = get("length", "m") if "length" in said else None
+        outlet, scale = get("outlet", "m", self.diameter), get("scale", "1", 1.0)
         for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
-            positive(f"{field}: {key}", value, "" if key == "scale" else "m")
-        path = (self.folder / file).resolve()
-        mesh = bore_of(field, path, scale, length, (self.diameter, outlet))
-        rise = length * float(self.tangent[2])
-        return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), Line(length)
+            if value is not None:
+                positive(f"{field}: {key}", value, "" if key == "scale" else "m")
+        mesh = bore_of(
+            (f"{field}: file", f"{field}: scale"),
+            (self.folder / file).resolve(),
+            scale,
+            length,
+            (self.diameter, outlet),
+        )
+        before = Axis((0.0, 0.0, 0.0), self.begin, (*self.pieces, Line(self.diameter)))
+        directions = directions_at(before, before.length)
+        pieces = turned(mesh.axis.pieces, directions)
+        ends, tangents = mesh.axis.at([0.0, mesh.axis.length])
+        rise = float(((ends[1] - ends[0]) @ directions)[2])
+        length = mesh.axis.length
+        self._turn(tangents[1] @ directions)
+        return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), pieces
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:

@@ -1,161 +1,204 @@
-"""A part of a line whose bore is a mesh from a file: whether it fits, and how narrow it is."""
+"""A part of a line whose bore is a mesh from a file: where it leads, whether it fits, and how narrow it is."""
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.errors import refuse
-from .axis import Axis, Line
+from .axis import Arc, Axis, Line
 from .bores import Bores
-from .meshes import border_edges, border_loops, load, rays
-
-if TYPE_CHECKING:  # half a second to import, and most lines have no mesh
-    import trimesh
+from .inner_surface import AROUND, InnerSurface, equal_radii
+from .mesh_axis import follow, pieces_through
+from .meshes import load
 
 FIT, ROUND = 0.02, 0.05
-"""By how much a mesh may differ where it begins and ends from the line's pipe: by its area, as a diameter, and anywhere
-around."""
+"""Largest differences between a mesh and the line's pipe where it begins and ends: of the diameter of equal area, and
+of the radius in any direction."""
 PLACED = 0.002
-"""Diameters by which it may begin and end beside where it should."""
+"""Distance over the diameter by which a straight mesh may end beside where it should."""
+MEASURED = 0.01
+"""Part by which a given length may differ from that of a bent axis, which is found from the mesh."""
 OVERLAP = 0.005
-"""Diameters by which round pipe reaches into it."""
-ACROSS, NEAR = 0.9, 0.05
-"""Cosine between a triangle's normal and the axis above which it closes a mesh, if it lies so near its end, over the
-radius."""
-AROUND, FINE, FACETS = 24, 0.005, 96
-"""Directions in which a bore is measured, diameters between places, and facets of round pipe."""
+"""Length over the diameter by which round pipe reaches into a mesh."""
+FINE = 0.005
+"""Distance between two places where a bore is measured, over the diameter."""
 STEPS = 4000
-"""Places at most."""
+"""Largest number of places where a bore is measured."""
 PROFILE = 0.05
-"""Diameters between places of what a line knows of its radii."""
+"""Distance over the diameter between two radii that a line knows."""
+Way = tuple[float, float, float]
+Fields = tuple[str, str]
+WAYS: tuple[Way, ...] = (
+    (1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0),
+    (0.0, 1.0, 0.0),
+    (-1.0, 0.0, 0.0),
+    (0.0, 0.0, -1.0),
+    (0.0, -1.0, 0.0),
+)
+"""Directions in which a mesh may lead away from its origin."""
 
 
 @dataclass(frozen=True)
 class MeshBore:
-    """What a line knows of a mesh that is one of its parts."""
+    """Bore of a mesh that is one of a line's parts."""
 
     file: str
-    """Whole path."""
+    """Absolute path."""
     scale: float
-    """Of its unit: 0.001 for mm."""
+    """Factor from the file's unit to metres: 0.001 for mm."""
+    axis: Axis
+    """Centreline in the mesh's coordinates, from its origin."""
     narrowest: float
-    """Across the axis [m]."""
+    """Least distance of two opposite places of the wall [m]."""
     digest: str
-    """Of what the file holds and how it is scaled."""
+    """Hash of the file and its scale."""
     places: tuple[float, ...]
-    """From where it begins, rising [m]."""
+    """Arc lengths from the start, rising [m]."""
     radii: tuple[float, ...]
-    """There, of circles of its area [m]."""
+    """Radii there of circles of the section's area [m]."""
     least: tuple[float, ...]
-    """Of circles about the axis that are free there [m]."""
+    """Radii there of free circles about the axis [m]."""
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Diameters at the start and at the end [m]."""
+        return 2 * self.radii[0], 2 * self.radii[-1]
 
 
-def bore_of(field: str, file: Path, scale: float, length: float, diameters: tuple[float, float]) -> MeshBore:
-    """The bore in a mesh `file`, which must begin at its origin and lead along its x for a `length` [m].
+def bore_of(
+    fields: Fields,
+    file: Path,
+    scale: float,
+    length: float | None = None,
+    diameters: tuple[float, float] | None = None,
+    ways: Sequence[Way] = WAYS[:1],
+) -> MeshBore:
+    """Measure the bore in a mesh file, which begins at the mesh's origin and leads in one of some directions.
 
-    Raises :class:`SceneError` for a file that cannot be read, a mesh that has gaps, does not lie about that axis or is
-    blocked on it, or whose ends are not round and of these `diameters` [m].
+    Args:
+        fields: Fields that errors name, for the file and for its scale.
+        file: Path of the mesh.
+        scale: Factor from the file's unit to metres.
+        length: What the length of the axis must be [m]; anything if None.
+        diameters: What the diameters at the start and the end must be [m]; anything if None.
+        ways: Unit directions in which the axis may begin; a line's mesh leads along its x.
+
+    Raises:
+        SceneError: The file cannot be read, or its mesh has gaps, does not begin at its origin, is blocked, opens to
+            the side, has another length, or ends that are not round and of these diameters.
     """
-    mesh, name = load(file, f"{field}: file", scale), str(file)
-    low, high = mesh.bounds
-    near, width = PLACED * min(diameters), max(diameters)
-    if high[0] - low[0] > 100 * length or high[0] - low[0] < 0.01 * length:
-        refuse(f"{field}: scale", scale, f"makes the mesh {high[0] - low[0]:.4g} m long, and the part is {length:g} m",
+    if not file.is_file():
+        refuse(fields[0], str(file), "is no file", "give the path of an STL, OBJ, PLY ... file")
+    held = file.read_bytes()
+    digest = hashlib.sha256(held + repr(scale).encode()).hexdigest()[:12]
+    # The unit is checked first: the bore of a mesh in another unit has no end within reach.
+    found = _measured(fields, file, scale, digest, length, tuple(ways))
+    found = _of_length(fields, found, length)
+    name = str(file)
+    for end, place, which in ((0, 0.0, "begins"), (1, found.axis.length, "ends")):
+        reach = _surface(found, fields[0]).sections(np.array([place]))[0]
+        wide = 2 * float(np.sqrt(np.mean(reach**2)))
+        if diameters is not None and abs(wide / diameters[end] - 1) > FIT:
+            refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, and the line is {diameters[end]:g} "
+                   "m", "give outlet, the diameter behind it, or put a reducer beside it")  # fmt: skip
+        if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUND):
+            refuse(fields[0], name, f"is not round where it {which}, or lies beside the axis: its wall is "
+                   f"{reach.min():.4g} to {reach.max():.4g} m away", "move it, or end it round")  # fmt: skip
+    return found
+
+
+def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:
+    """Return a bore that has the `length` of a part [m], or refuse it if it is longer or shorter."""
+    if length is None:
+        return bore
+    found, straight = bore.axis.length, _is_straight(bore.axis)
+    near = PLACED * min(bore.ends) if straight else MEASURED * length
+    if abs(found - length) > near:
+        refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, and the part is {length:g} m long",
+               "give the part's length, or leave it out")  # fmt: skip
+    return replace(bore, axis=replace(bore.axis, pieces=(Line(length),))) if straight else bore
+
+
+def _is_straight(axis: Axis) -> bool:
+    return all(isinstance(piece, Line) for piece in axis.pieces)
+
+
+@functools.lru_cache(maxsize=16)
+def _measured(
+    fields: Fields,
+    file: Path,
+    scale: float,
+    digest: str,
+    length: float | None,
+    ways: tuple[Way, ...],
+) -> MeshBore:
+    """Find the axis of a mesh file, and measure its bore; `digest` tells files apart that have one name."""
+    mesh, name = load(file, fields[0], scale), str(file)
+    extent = float(mesh.extents.max())
+    if length is not None and not 0.01 * length <= extent <= 100 * length:
+        refuse(fields[1], scale, f"makes the mesh {extent:.4g} m long, and the part is {length:g} m",
                "check it: 0.001 for a file in mm")  # fmt: skip
-    if abs(low[0]) > near or abs(high[0] - length) > near:
-        refuse(f"{field}: file", name, f"goes from x = {low[0]:.4g} to {high[0]:.4g} m, and the part from 0 to "
-               f"{length:g} m", "give the part's length, or move the mesh")  # fmt: skip
-    _check_closed(mesh, f"{field}: file", name, length, near)
-    reach = _probed(mesh, length, width)
-    bare = int(np.count_nonzero(reach < 0))
-    if bare:
-        spans = " x ".join(f"{x:.4g}" for x in mesh.extents)
-        refuse(f"{field}: file", name, f"has gaps or does not lie about the line's axis, which is its x: {bare} of "
-               f"{reach.size} probes find no wall (it spans {spans} m)", "close its holes, or move it")  # fmt: skip
-    for end, diameter, which in ((0, diameters[0], "begins"), (-1, diameters[1], "ends")):
-        found = 2 * float(np.sqrt(np.mean(reach[end] ** 2)))
-        if abs(found / diameter - 1) > FIT:
-            refuse(f"{field}: file", name, f"is {found:.4g} m wide where it {which}, and the line is {diameter:g} m",
-                   "give outlet, the diameter behind it, or put a reducer beside it")  # fmt: skip
-        if np.any(np.abs(2 * reach[end] / diameter - 1) > ROUND):
-            refuse(f"{field}: file", name, f"is not round where it {which}, or lies beside the axis: its wall is "
-                   f"{reach[end].min():.4g} to {reach[end].max():.4g} m away", "move it, or end it round")  # fmt: skip
-    inset = np.array([[2 * near, 0.0, 0.0]])
-    if rays(mesh, inset, np.array([[1.0, 0.0, 0.0]]), length - 4 * near)[0] >= 0:
-        refuse(f"{field}: file", name, "is blocked: a surface crosses the line's axis", "leave the bore open there")
-    across = reach[:, : AROUND // 2] + reach[:, AROUND // 2 :]
-    digest = hashlib.sha256(Path(file).read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    s, count = _places(length, width), max(2, round(length / (PROFILE * width)))
+    axis, radius = _axis(mesh.vertices, mesh.faces, ways, fields[0], name)
+    surface = InnerSurface(mesh.vertices, mesh.faces, axis, radius, fields[0], name)
+    width = 2 * float(equal_radii(surface.sections(np.zeros(1)))[0])
+    s = np.linspace(0.0, axis.length, int(np.clip(axis.length / (FINE * width), 20, STEPS)))
+    reach = surface.sections(s)
+    count = max(2, round(axis.length / (PROFILE * width)))
     blocks = [np.array_split(each, min(count, len(s))) for each in (s, np.mean(reach**2, axis=1), reach.min(axis=1))]
     places, radii, least = (
         tuple(float(of(block)) for block in each)
         for of, each in zip((np.mean, lambda area: np.sqrt(np.mean(area)), np.min), blocks, strict=True)
     )
-    return MeshBore(name, scale, float(across.min()), digest, places, radii, least)
+    narrowest = float((reach[:, : AROUND // 2] + reach[:, AROUND // 2 :]).min())
+    return MeshBore(name, scale, axis, narrowest, digest, places, radii, least)
 
 
-def _check_closed(mesh: trimesh.Trimesh, field: str, name: str, length: float, near: float) -> None:
-    """Closed, as with lids or a thick wall, or open at its two ends alone."""
-    border = border_edges(mesh)
-    loops = border_loops(border) if len(border) else []
-    ends = [mesh.vertices[loop][:, 0] for loop in loops]
-    at = [sum(bool(np.all(np.abs(x - place) <= near)) for x in ends) for place in (0.0, length)]
-    if loops and (len(loops) != 2 or at != [1, 1]):
-        refuse(field, name, f"is not closed: {len(border)} border edges in {len(loops)} rims, where a bore has one at "
-               "each end or none", "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
+def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field: str, name: str) -> tuple[Axis, float]:
+    """Return the axis of a bore that begins at the mesh's origin, and its radius there [m]."""
+    start = np.zeros(3)
+    sections = follow(vertices, faces, start, [np.array(way, float) for way in ways], field, name)
+    way = sections.ahead
+    pieces = pieces_through(sections.points, way, float(sections.radii[0]))
+    axis = Axis((0.0, 0.0, 0.0), tuple(way.tolist()), pieces)
+    if _is_straight(axis):
+        # The end of a straight bore is known better than the last section: it lies where the mesh ends.
+        axis = Axis(axis.start, axis.tangent, (Line(float((vertices @ way).max())),))
+    return axis, float(sections.radii[0])
 
 
-def _places(length: float, width: float) -> np.ndarray:
-    """Where along a bore it is measured [m]."""
-    inset = min(0.01 * width, 0.02 * length)  # beside a lid
-    return np.linspace(inset, length - inset, int(np.clip(length / (FINE * width), 20, STEPS)))
+def _surface(bore: MeshBore, field: str) -> InnerSurface:
+    """Return the inner surface of a mesh bore, in the mesh's coordinates."""
+    mesh = load(bore.file, field, bore.scale)
+    return InnerSurface(mesh.vertices, mesh.faces, bore.axis, bore.radii[0], field, bore.file)
 
 
-def _probed(mesh: trimesh.Trimesh, length: float, width: float) -> np.ndarray:
-    """Distances [m] of the wall from the axis at places along it, -1 for none, shape (places, AROUND)."""
-    axis = Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (Line(length),))
-    points, _, normal, side = axis.frame(_places(length, width))
-    # Turned by an odd angle, so that rays do not run into the edges between the facets of a regular tube.
-    angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
-    ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-    starts = np.broadcast_to(points[:, None], ways.shape)
-    return rays(mesh, starts.reshape(-1, 3), ways.reshape(-1, 3), 10 * width).reshape(-1, AROUND)
+def directions_at(axis: Axis, s: float) -> np.ndarray:
+    """Return the directions of a mesh's x, y and z where it is put on an axis at the arc length `s` [m], shape (3, 3).
 
-
-def between_pipes(
-    mesh: trimesh.Trimesh, axis: Axis, insert: tuple[float, float], radii: tuple[float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and faces (f, 3) of a mesh between round pipes of these `radii` [m].
-
-    The mesh begins at its origin along the `axis`, which is straight, and is moved to lie between the arc lengths of
-    `insert`; lids at its ends are left out.
+    Its z is up where the line begins level, and against the way it bends up by; it is carried along without twist.
     """
-    begin, end = insert
-    start, tangent = np.array(axis.start, float), np.array(axis.tangent, float)
-    faces = _without_lids(mesh, (mesh.triangles_center - start) @ tangent, tangent, end - begin, radii)
-    parts = [(mesh.vertices + begin * tangent, faces)]
-    wider = np.sqrt(2 * np.pi / (FACETS * np.sin(2 * np.pi / FACETS)))  # the area of a circle
-    # Pipe reaches a little into the mesh, for a ray in a plane where both only end finds no wall, and out of the part.
-    for low, high, radius in ((-radii[0], begin, radii[0]), (end, axis.length + radii[1], radii[1])):
-        more = 2 * OVERLAP * radius
-        low, high = (low, high + more) if low < 0 else (low - more, high)
-        count = 2 + int((high - low) / (4 * radius))  # boxes of the search must not become long
-        parts.append(axis.swept(np.linspace(low, high, count), wider * radius, FACETS))
-    return _together(parts)
+    tangent, level = np.array(axis.tangent), np.array([0.0, 0.0, 1.0])
+    if abs(tangent @ level) > 0.5:
+        level = -np.sign(tangent[2]) * np.array([1.0, 0.0, 0.0])
+    ahead, up = axis.at(s)[1][0], axis.carried(s, level)[0]
+    return np.array([ahead, np.cross(up, ahead), up])
 
 
-def _without_lids(
-    mesh: trimesh.Trimesh, along: np.ndarray, tangent: np.ndarray, length: float, radii: tuple[float, float]
-) -> np.ndarray:
-    """Faces (f, 3) that do not close an end of the bore; `along` are arc lengths of their middles [m]."""
-    across = np.abs(mesh.face_normals @ tangent) > ACROSS
-    return mesh.faces[~(across & ((along < NEAR * radii[0]) | (along > length - NEAR * radii[1])))]
+def turned(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
+    """Return pieces of an axis that is turned by the rows of `directions`, shape (3, 3)."""
+    return tuple(
+        replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))
+        if isinstance(piece, Arc)
+        else piece
+        for piece in pieces
+    )
 
 
 @dataclass(frozen=True)
@@ -178,26 +221,20 @@ def wall_of(
     `before` [m] ahead of the axis and ends `after` [m] behind it. A mesh's z is up where the line begins level, and
     against the way it bends up by; it is carried along without twist.
     """
-    level = np.array([0.0, 0.0, 1.0])
-    tangent = np.array(axis.tangent)
-    if abs(tangent @ level) > 0.5:
-        level = -np.sign(tangent[2]) * np.array([1.0, 0.0, 0.0])
     parts, begin = [], -before
     for insert in inserts:
         radii = float(bores.at(insert.begin)), float(bores.at(insert.end))
         parts.append(bores.mesh_between(axis, begin, insert.begin + 2 * OVERLAP * radii[0], facets))
-        mesh = load(insert.mesh.file, "bore", insert.mesh.scale)
-        faces = _without_lids(mesh, mesh.triangles_center[:, 0], np.eye(3)[0], insert.end - insert.begin, radii)
-        point, ahead = (each[0] for each in axis.at(insert.begin))
-        up = axis.carried(insert.begin, level)[0]
-        parts.append((point + mesh.vertices @ np.array([ahead, np.cross(up, ahead), up]), faces))
+        surface = _surface(insert.mesh, "bore")
+        point = axis.at(insert.begin)[0][0]
+        parts.append((point + surface.vertices @ directions_at(axis, insert.begin), surface.faces))
         begin = insert.end - 2 * OVERLAP * radii[1]
     parts.append(bores.mesh_between(axis, begin, axis.length + after, facets))
-    return _together(parts)
+    return together(parts)
 
 
-def _together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """One mesh of several."""
+def together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (v, 3) and faces (f, 3) of one mesh that holds several."""
     firsts = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     faces = np.concatenate([faces + first for (_, faces), first in zip(parts, firsts, strict=True)])
     return np.concatenate([points for points, _ in parts]), faces

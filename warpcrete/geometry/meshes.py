@@ -12,8 +12,9 @@ import warp as wp
 from ..core.device import quiet_init
 from ..core.errors import refuse
 from ..core.launching import launch
-from ..kernels.common.mesh_queries import nearest_faces, ray_distances, signed_distances
+from ..kernels.common.mesh_queries import distances, nearest_faces, ray_distances, signed_distances
 from .axis import Axis
+from .cleaning import clean
 from .walls import MeshWall, PipeWall
 
 if TYPE_CHECKING:  # half a second to import, and most scenes have no mesh
@@ -21,12 +22,10 @@ if TYPE_CHECKING:  # half a second to import, and most scenes have no mesh
 
 ROUND = 0.01
 """Part of a pipe's radius by which its wall may differ from the cylinder and still count as one."""
-WIDEST_ERROR = 0.1
-"""Part by which it may differ at all."""
 
 
 def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
-    """Mesh from a ``trimesh.Trimesh`` or any file that trimesh reads, with coincident corners merged.
+    """Mesh from a ``trimesh.Trimesh`` or any file that trimesh reads, cleaned (:func:`clean`).
 
     Raises :class:`SceneError` naming `field` if it cannot be read or holds no usable triangles.
     """
@@ -51,9 +50,8 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
                    "give an STL, OBJ, PLY ... file whose ending says what it is")  # fmt: skip
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         refuse(field, str(source), "holds no triangles, or corners that are not finite")
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(mesh.nondegenerate_faces())
-    mesh.remove_unreferenced_vertices()
+    vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(mesh.faces) == 0:
         refuse(field, str(source), "holds only triangles without area")
     mesh.apply_scale(scale)
@@ -135,58 +133,6 @@ class Bore:
         return self.smallest >= (1 - ROUND) * radius and self.largest <= (1 + ROUND) * radius
 
 
-def check_pipe(mesh: trimesh.Trimesh, field: str, name: str, axis: Axis, radius: float, length: float) -> Bore:
-    """Measure the bore around the first `length` [m] of `axis`; refuse a mesh that is no pipe of about `radius` [m].
-
-    It must be closed (a pipe with wall thickness, say), or open at nothing but the two ends of the tube, and
-    its bore must be free and nowhere a tenth wider or narrower than wanted.
-    """
-    extents = " x ".join(f"{e:.4g}" for e in mesh.extents)
-    where = f"(the mesh spans {extents} m)"
-    border = border_edges(mesh)
-    if len(border):
-        ends = border_loops(border)
-        if len(ends) != 2:
-            refuse(
-                field,
-                name,
-                f"is open: {len(border)} border edges in {len(ends)} rims, where a tube has two",
-                "close its holes (trimesh.repair.fill_holes, or in the CAD program)",
-            )
-        for loop in ends:
-            # An end of the tube winds once round the axis.
-            centre = mesh.vertices[loop].mean(0)
-            nearest, _ = axis.at(np.linspace(-2 * radius, axis.length * 3 + 2 * radius, 2000))
-            beside = float(np.linalg.norm(nearest - centre, axis=1).min())
-            if beside > WIDEST_ERROR * radius:
-                place = ", ".join(f"{x:.4g}" for x in centre)
-                refuse(
-                    field,
-                    name,
-                    f"does not follow the pipe's axis: its open end round ({place}) m is {beside:.3g} m beside it",
-                    f"the axis starts at {axis.start} m along {axis.tangent}; check the unit, or wall_scale",
-                )
-    reach = bore_probes(mesh, axis, radius, length)
-    if np.any(reach < 0) or np.any(np.abs(reach / radius - 1) > WIDEST_ERROR):
-        bare = int(np.count_nonzero(reach < 0))
-        off = reach[reach >= 0]
-        found = f"{2e3 * off.min():.4g} to {2e3 * off.max():.4g} mm across" if len(off) else "nothing"
-        refuse(
-            field,
-            name,
-            f"does not enclose a bore of {2e3 * radius:g} mm along the pipe's axis: "
-            f"{bare} of {reach.size} probes find no wall, the others {found} {where}",
-            "check its place, its length and its unit (wall_scale=0.001 for millimetres)",
-        )
-    stations = _stations(radius, length)
-    points, tangents = axis.at(stations)
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    ahead = rays(mesh, points[:-1], tangents[:-1], float(step.max()))
-    if np.any((ahead >= 0) & (ahead < 0.5 * step.min()) & (stations[:-1] < length - radius)):
-        refuse(field, name, f"is blocked: a surface crosses the pipe's axis {where}", "leave the bore open")
-    return Bore.of(reach)
-
-
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
     """Arc lengths at which a pipe is measured; its ends may be capped, so they lie inside them."""
     inset = min(0.02 * radius, 0.25 * (end - begin))
@@ -231,17 +177,42 @@ def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
 
 
 def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-    """Distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss.
+    """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss.
 
     `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3).
     """
-    surface = _warp_mesh(mesh, "cpu")
-    distance = wp.zeros(len(origins), dtype=wp.float32, device="cpu")
-    start = wp.array(np.ascontiguousarray(origins, np.float32), dtype=wp.vec3, device="cpu")
-    along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
-    named = {"mesh": surface.id, "origins": start, "directions": along, "reach": reach, "distance": distance}
-    launch(ray_distances, len(origins), wp.get_device("cpu"), **named)
-    return distance.numpy().astype(float)
+    return SurfaceQueries(mesh.vertices, mesh.faces).rays(origins, directions, reach)
+
+
+class SurfaceQueries:
+    """Rays to a triangle mesh and distances from it, in single precision on the CPU."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        quiet_init()
+        points = wp.array(np.ascontiguousarray(vertices, np.float32), dtype=wp.vec3, device="cpu")
+        corners = wp.array(np.ascontiguousarray(faces, np.int32).ravel(), dtype=wp.int32, device="cpu")
+        self._mesh = wp.Mesh(points=points, indices=corners)
+        self._extent = float(np.abs(vertices).max(initial=0.0))
+
+    def rays(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
+        """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3), -1 for a miss."""
+        along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
+        return self._launched(ray_distances, origins=_points(origins), directions=along, reach=reach)
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Return the distance [m] of each of `points` (n, 3) from the surface."""
+        reach = 4 * (self._extent + float(np.abs(points).max(initial=0.0)))
+        return self._launched(distances, points=_points(points), reach=reach)
+
+    def _launched(self, kernel: wp.Kernel, **arguments: Any) -> np.ndarray:
+        count = len(next(iter(arguments.values())))
+        distance = wp.zeros(count, dtype=wp.float32, device="cpu")
+        launch(kernel, count, wp.get_device("cpu"), mesh=self._mesh.id, distance=distance, **arguments)
+        return distance.numpy().astype(float)
+
+
+def _points(places: np.ndarray) -> wp.array:
+    return wp.array(np.ascontiguousarray(places, np.float32), dtype=wp.vec3, device="cpu")
 
 
 def _warp_mesh(mesh: Any, device: str, winding: bool = False) -> wp.Mesh:

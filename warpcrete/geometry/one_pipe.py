@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..core.errors import refuse
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import PipeLine, line_file
+from .mesh_parts import WAYS, Way, bore_of
 
 LONGEST = 10_000
 """Diameters, of a pipe that is run."""
@@ -28,6 +30,25 @@ def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
     given, _ = line_file(values["line"])
     found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
     return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
+
+
+def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
+    """Return unit and inlet diameter [m] for the mesh `wall` among a scene's parameters, if they name no other unit.
+
+    The mesh may lead in one of the directions `ways` at its origin.
+    """
+    wall, unit = values.get("wall"), values.get("unit", "mesh")
+    if wall is None or unit != "mesh" or values.get("line") is not None:
+        return {}
+    if "diameter" in values:
+        return {"unit": unit}
+    scale = values.get("wall_scale", 1.0)
+    if not isinstance(wall, (str, Path)) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
+        return {"unit": unit}  # the rules of these parameters say what is wrong
+    return {
+        "unit": unit,
+        "diameter": float(f"{bore_of(('wall', 'wall_scale'), Path(wall), scale, ways=ways).ends[0]:.6g}"),
+    }
 
 
 def ends(line: PipeLine) -> np.ndarray:

@@ -274,8 +274,7 @@ def _parameters(
         if part.kind == "reducer":
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
         if part.mesh:
-            own |= {"wall": part.mesh.file, "wall_scale": part.mesh.scale, "bore_length": part.length,
-                    "outlet_diameter": part.outlet}  # fmt: skip
+            own |= {"unit": "mesh", "wall": part.mesh.file, "wall_scale": part.mesh.scale}
     own = sized(own, min(each.narrow for each in line.parts), elements)
     if pressed:
         own["plug_pressure"] = PRESSURE * own["modulus"]

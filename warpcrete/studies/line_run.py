@@ -121,8 +121,7 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
     if part.kind == "bend":
         return "part", {**own, "unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
     if part.mesh:
-        own |= {"wall": part.mesh.file, "wall_scale": part.mesh.scale, "bore_length": part.length}
-        return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet}
+        return "part", {**own, "unit": "mesh", "wall": part.mesh.file, "wall_scale": part.mesh.scale}
     return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet, "taper": part.length}
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
 from ...core.paint import on_palette
+from ...geometry.mesh_parts import together
 from .layout import Frame
 from .probes import loss_along
 from .scene import PartScene
@@ -116,10 +117,14 @@ class PartDisplay(Display):
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
 
     def walls(self) -> list[DrawnWall]:
-        """The bore."""
-        scene = self._scene
-        if scene.wall is not None:
-            return [DrawnWall("wall", scene.wall.vertices, scene.wall.faces, False, GLASS)]
+        """Return the wall of the bore."""
+        scene, inner = self._scene, self._scene.inner
+        if inner is not None:
+            drawn = [(inner.vertices, inner.faces)]
+            for low, high in ((0.0, inner.begin), (inner.end, scene.axis.length)):
+                if high - low > 0.01 * scene.radius:
+                    drawn.append(scene.axis.swept(np.array([low, high]), float(scene.bore(0.5 * (low + high))), SIDES))
+            return [DrawnWall("wall", *together(drawn), False, GLASS)]
         s = np.linspace(0, scene.axis.length, RINGS)
         points, _, normal, side = scene.axis.frame(s)
         angle = 2 * np.pi * np.arange(SIDES) / SIDES

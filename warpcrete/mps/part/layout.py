@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from ...geometry.meshes import enclosed, signed_distance
 from ...kernels.mps.grid.cells import Kind
 from ..free.layout import fill_cells
 from ..grid.geometry import BARE, MIRROR, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall
@@ -21,10 +20,6 @@ INLET = ROUGH + 1
 """Number of the plane that concrete enters through."""
 BEHIND, BESIDE = 2, 1.5
 """Cells of the room around the bore; how far the inlet's plane reaches, over the radius, and as many cells."""
-ACROSS, NEAR = 0.9, 0.1
-"""Cosine between a triangle's normal and the axis above which it closes a pipe, if it lies so near an end or beyond,
-over the radius.
-"""
 ABREAST = 2
 """Particles of a cell along each axis."""
 PLACES, A_RADIUS = 200, 8
@@ -82,17 +77,9 @@ def part_room(scene: PartScene) -> Room:
 def bore_distance(scene: PartScene) -> Distance:
     """Distance of places on the grid from the wall of the bore [m]."""
     frame, axis = Frame(scene), scene.axis
-    if scene.wall is not None:
-        import trimesh
-
-        wall = scene.wall
-        mesh = trimesh.Trimesh(wall.vertices, wall.faces[~_caps(scene)], process=False)
-
-        def within(x: np.ndarray) -> np.ndarray:
-            places = frame.outward(x)
-            return np.where(enclosed(wall, axis, places), 1.0, -1.0) * np.abs(signed_distance(mesh, places))
-
-        return within
+    if scene.inner is not None:
+        inner = scene.inner
+        return lambda x: inner.distance(frame.outward(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
     # Across a cone's wall is less far than across its axis.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
@@ -103,19 +90,6 @@ def bore_distance(scene: PartScene) -> Distance:
         return gap / lean[np.searchsorted(places, s)]
 
     return distance
-
-
-def _caps(scene: PartScene) -> np.ndarray:
-    """Which triangles of a mesh close it across the axis, at an end of the part or beyond, shape (f,)."""
-    assert scene.wall is not None
-    corners = scene.wall.vertices[scene.wall.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    middle, axis = corners.mean(1), scene.axis
-    s = axis.along(middle)
-    _, tangent = axis.at(s)
-    across = np.abs(np.sum(normal * tangent, 1)) > ACROSS * np.linalg.norm(normal, axis=1)
-    near = NEAR * scene.radius
-    return across & ((s < near) | (s > axis.length - near))
 
 
 def inlet_distance(scene: PartScene) -> Distance:

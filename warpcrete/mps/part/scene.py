@@ -15,7 +15,7 @@ from ...core.html import Parametrised
 from ...core.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import Bores
-from ...geometry.meshes import rays
+from ...geometry.inner_surface import InnerSurface, equal_radii
 from ...geometry.walls import MeshWall
 from ...theory.pipe import Concrete, Steady, steady
 from ...theory.pipe import Line as Stretch
@@ -29,8 +29,8 @@ cells that must be left.
 """
 ROUND = 0.03
 """By how much a bore's radius may differ around it for theory to call it round."""
-AROUND, ALONG = 24, 60
-"""Directions and places in which a mesh's bore is measured."""
+ALONG = 60
+"""Places along the axis in which a mesh's bore is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +95,10 @@ class PartScene(Parametrised, PartSettings):
     parts: tuple[Section, ...] = ()
     """Of a line, whose losses are told; empty: as axis and bores have them."""
     wall: MeshWall | None = None
-    """Instead of the round pipe: a mesh, of which what the axis sees is the bore."""
+    """Mesh that stands for the round pipe; what the axis sees of it is the bore (:class:`InnerSurface`)."""
     insert: tuple[float, float] | None = None
-    """Arc lengths between which a mesh is more than round pipe [m]; None: as it is found."""
+    """Arc lengths of the ends of a mesh that is shorter than the part [m]: the bore goes on beyond them as it is there.
+    None: the mesh is as long as the part."""
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -143,20 +144,16 @@ class PartScene(Parametrised, PartSettings):
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Arc lengths and radii of equal area of a mesh's bore [m]."""
+        """Return arc lengths and radii of equal area of a mesh's bore [m]."""
+        object.__setattr__(self, "_inner", None)
         if self.wall is None:
             return None
-        inset = 1e-3 * self.radius  # a ray along a mesh's rim may miss it
-        s = np.linspace(inset, self.axis.length - inset, ALONG)
-        points, _, normal, side = self.axis.frame(s)
-        angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
-        ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-        starts = np.broadcast_to(points[:, None], ways.shape).reshape(-1, 3)
-        reach = rays(self.wall, starts, ways.reshape(-1, 3), 10 * self.radius).reshape(-1, AROUND)
-        if np.any(reach < 0):
-            refuse("wall", self.wall.name, f"has gaps along the axis: {np.count_nonzero(reach < 0)} of {reach.size} "
-                   "probes find no wall", "close its holes, or move it so that it lies about the axis")  # fmt: skip
-        radii = np.sqrt(np.mean(reach**2, axis=1))
+        span = self.insert or (0.0, self.axis.length)
+        inner = InnerSurface(self.wall.vertices, self.wall.faces, self.axis, self.radius, "wall", self.wall.name, span)
+        object.__setattr__(self, "_inner", inner)
+        s = np.linspace(0.0, self.axis.length, ALONG)
+        reach = inner.sections(s)
+        radii = equal_radii(reach)
         begin, end = self.insert or (0.0, 0.0)
         straight = (s <= begin) | (s >= end)
         object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUND)))
@@ -164,6 +161,11 @@ class PartScene(Parametrised, PartSettings):
             refuse("radius", self.radius, f"is not that of the mesh, {radii[0]:.4g} m at the start",
                    "give its radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
         return s, radii
+
+    @property
+    def inner(self) -> InnerSurface | None:
+        """Inner surface of the mesh; None for a round pipe."""
+        return getattr(self, "_inner", None)
 
     def bore(self, s: np.ndarray | float) -> np.ndarray:
         """Radius of the bore at arc lengths [m], by its area where a mesh is not round; shape as `s`."""

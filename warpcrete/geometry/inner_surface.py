@@ -1,0 +1,223 @@
+"""Inner surface of a pipe, cut out of a mesh that may have a wall thickness, lids, or several skins."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.errors import refuse
+from .axis import Axis
+from .cleaning import clean
+from .meshes import SurfaceQueries
+
+WIDEST_ERROR = 0.1
+"""Part of a pipe's radius by which a mesh in its place may differ from it."""
+AROUND = 24
+"""Directions in which a section is measured."""
+TURNED = 0.382
+"""Part of the angle between two directions by which all are turned, so that rays miss the edges of regular tubes."""
+INSET = 1e-3
+"""Distance over the radius that sections keep from a rim or lid, where a ray may miss."""
+SHORT = 0.02
+"""Length over the radius by which a mesh may end before the part does."""
+ACROSS, NEAR = 0.9, 0.1
+"""A facet closes a pipe if the cosine between its normal and the axis is above the first, and if it lies beyond an end
+or nearer to it than the second, over the radius."""
+SEEN = 1e-3
+"""Distance over the radius within which a facet hides nothing behind it."""
+OFFSET = 1e-4
+"""Distance over the radius from a facet at which it is looked at, on both of its sides."""
+CORNERS = 0.8
+"""Share of a corner in the points, besides the middle, at which a facet is looked at."""
+FARTHEST = 10.0
+"""Length of the rays that look for a wall, over the radius."""
+
+
+class InnerSurface:
+    """Facets of a mesh that the axis of a pipe sees, with the way to measure the bore that they enclose.
+
+    A mesh of a real pipe has more surfaces than the bore: the outer skin, rims, lids. A facet belongs to the inner
+    surface if nothing lies between it and the nearest point of the axis, and if it does not close an end. Beyond
+    `begin` and `end` the bore goes on as it is there, so that a file may end where the part ends.
+
+    Args:
+        vertices: Corners of the mesh [m], shape (v, 3).
+        faces: Corner numbers of each triangle, shape (f, 3).
+        axis: The pipe's axis, straight at both ends.
+        radius: What the radius is about [m].
+        field: Field that errors name.
+        name: Value of that field.
+        span: Arc lengths between which the mesh must enclose the axis [m]; from its start to its end if None.
+
+    Raises:
+        SceneError: The mesh has gaps around the axis, ends before the axis does, or a surface crosses the axis.
+    """
+
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        axis: Axis,
+        radius: float,
+        field: str,
+        name: str,
+        span: tuple[float, float] | None = None,
+    ) -> None:
+        vertices, faces, origin = clean(vertices, faces)
+        if len(faces) == 0:
+            refuse(field, name, "holds only triangles without area")
+        self.axis, self._radius = axis, radius
+        self._low, self._high = span or (0.0, axis.length)
+        self._all = SurfaceQueries(vertices, faces)
+        self.begin, self.end = self._covered(vertices, field, name)
+        """Arc lengths between which the mesh encloses the axis [m]."""
+        self._check_free(field, name, vertices, faces)
+        kept = self._seen(vertices, faces)
+        self._check_closed(field, name, vertices, faces, kept)
+        used, corners = np.unique(faces[kept], return_inverse=True)
+        self.vertices = vertices[used]
+        """Corners of the inner surface [m], shape (n, 3)."""
+        self.faces = corners.reshape(-1, 3)
+        """Triangles of the inner surface, shape (m, 3)."""
+        self.origin = origin[kept]
+        """Number of each of these triangles in the mesh as it was given, shape (m,)."""
+        self._queries = SurfaceQueries(self.vertices, self.faces)
+
+    def sections(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
+        """Return distances [m] from the axis at arc lengths `s` (n,) to the wall, -1 for none, shape (n, around).
+
+        Directions k and k + around / 2 are opposite to each other.
+        """
+        inset = min(INSET * self._radius, 0.25 * (self.end - self.begin))
+        return self._probed(np.clip(s, self.begin + inset, self.end - inset), around)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the distance of `points` (n, 3) from the wall [m], positive inside the bore, shape (n,)."""
+        s = self.axis.along(points)
+        inset = min(INSET * self._radius, 0.25 * (self.end - self.begin))
+        inner = np.clip(s, self.begin + inset, self.end - inset)
+        nearest, tangents = self.axis.at(inner)
+        # The axis is straight beyond its ends: a point there is measured where its section last is the mesh's.
+        points = points + ((inner - s)[:, None] * tangents if np.any(inner != s) else 0.0)
+        offset = points - nearest
+        apart = np.linalg.norm(offset, axis=1)
+        ways = offset / np.maximum(apart, 1e-12)[:, None]
+        found = self._queries.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
+        inside = (found < 0) | (found >= apart)
+        return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
+
+    def _probed(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
+        points, _, normal, side = self.axis.frame(s)
+        angle = 2 * np.pi * (np.arange(around) + TURNED) / around
+        ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
+        starts = np.broadcast_to(points[:, None], ways.shape)
+        reach = FARTHEST * self._radius
+        return self._all.rays(starts.reshape(-1, 3), ways.reshape(-1, 3), reach).reshape(len(s), around)
+
+    def _covered(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
+        """Return the arc lengths between which every section is closed, and refuse a mesh that leaves some open."""
+        low, high, short = self._low, self._high, SHORT * self._radius
+        s = np.linspace(low + short, high - short, max(8, 2 + int(2 * (high - low) / self._radius)))
+        missed = np.any(self._probed(s) < 0, axis=1)
+        along = self.axis.along(vertices)
+        closed = np.flatnonzero(~missed)
+        reaches = along.min() <= low + short and along.max() >= high - short
+        if len(closed) == 0 or np.any(missed[closed[0] : closed[-1]]) or (reaches and np.any(missed)):
+            spans = " x ".join(f"{x:.4g}" for x in np.ptp(vertices, axis=0))
+            refuse(field, name, f"has gaps along the axis: {np.count_nonzero(missed)} of {len(s)} sections are open "
+                   f"(it spans {spans} m)", "close its holes, move it so that it lies about the axis, or check "
+                   "its unit (a scale of 0.001 for millimetres)")  # fmt: skip
+        begin = self._rim(s[closed[0]], min(float(along.min()), low))
+        end = self._rim(s[closed[-1]], max(float(along.max()), high))
+        if begin > low + short or end < high - short:
+            refuse(field, name, f"encloses the axis from {begin:.4g} to {end:.4g} m, and the part goes from {low:.4g} "
+                   f"to {high:.4g} m", "make the mesh longer, or the part shorter")  # fmt: skip
+        return begin, end
+
+    def _rim(self, closed: float, beyond: float) -> float:
+        """Return the arc length next to `beyond` up to which sections are closed, from one that is [m]."""
+        if not np.any(self._probed(np.array([beyond])) < 0):
+            return beyond
+        opened = beyond
+        while abs(opened - closed) > 0.1 * INSET * self._radius:
+            middle = 0.5 * (opened + closed)
+            if np.any(self._probed(np.array([middle])) < 0):
+                opened = middle
+            else:
+                closed = middle
+        return closed
+
+    def _closes(self, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Return which facets close the pipe across its axis, at an end or beyond, shape (f,)."""
+        s = self.axis.along(middles)
+        tangents = self.axis.at(s)[1]
+        near = NEAR * self._radius
+        across = np.abs(np.sum(normals * tangents, axis=1)) > ACROSS
+        low, high = max(self.begin, self._low), min(self.end, self._high)
+        return across & ((s < low + near) | (s > high - near))
+
+    def _check_free(self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Refuse a surface that crosses the axis within the part."""
+        inset = NEAR * self._radius
+        low, high = max(self.begin, self._low) + inset, min(self.end, self._high) - inset
+        s = np.linspace(low, high, max(8, 2 + int(8 * (high - low) / self._radius)))
+        points, _ = self.axis.at(s)
+        step = np.diff(points, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        found = self._all.rays(points[:-1], step / length[:, None], float(length.max()))
+        hit = (found >= 0) & (found <= length)
+        if np.any(hit):
+            refuse(field, name, f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start",
+                   "leave the bore open there")  # fmt: skip
+
+    def _check_closed(self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, kept: np.ndarray) -> None:
+        """Refuse an inner surface whose mesh has rims besides those at its ends."""
+        edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+        unique, of, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        single = np.intersect1d(np.flatnonzero(count == 1), of.reshape(-1, 3)[kept])
+        inset = SHORT * self._radius
+        along = self.axis.along(vertices[unique[single]].reshape(-1, 3)).reshape(-1, 2)
+        within = np.any((along > self.begin + inset) & (along < self.end - inset), axis=1)
+        if np.any(within):
+            refuse(field, name, f"is not closed: {np.count_nonzero(within)} border edges lie between its ends",
+                   "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
+
+    def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Return the numbers of the facets that belong to the inner surface."""
+        corners = vertices[faces]
+        middles = corners.mean(axis=1)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = normals / np.linalg.norm(normals, axis=1)[:, None]
+        waiting = np.flatnonzero(~self._closes(middles, normals))
+        seen = np.zeros(len(faces), bool)
+        places = [middles, *((CORNERS * corners[:, k] + (1 - CORNERS) * middles) for k in range(3))]
+        for place in places:
+            for side in (1.0, -1.0):
+                points = place[waiting] + side * OFFSET * self._radius * normals[waiting]
+                nearest = self.axis.nearest(points)
+                apart = np.linalg.norm(points - nearest, axis=1)
+                ways = (points - nearest) / np.maximum(apart, 1e-12)[:, None]
+                found = self._all.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
+                free = (found < 0) | (found > apart - SEEN * self._radius)
+                seen[waiting[free]] = True
+                waiting = waiting[~free]
+        return np.flatnonzero(seen)
+
+
+def equal_radii(sections: np.ndarray) -> np.ndarray:
+    """Return radii of circles that have the area of each row of :meth:`InnerSurface.sections` [m], shape (n,)."""
+    return np.sqrt(np.mean(sections**2, axis=1))
+
+
+def pipe_in(
+    vertices: np.ndarray, faces: np.ndarray, field: str, name: str, axis: Axis, radius: float, length: float
+) -> InnerSurface:
+    """Return the inner surface of a mesh that must be a pipe of about `radius` [m] along the first `length` [m].
+
+    Raises :class:`SceneError` where it is none, or a tenth wider or narrower than the pipe somewhere.
+    """
+    surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
+    reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))
+    if np.any(np.abs(reach / radius - 1) > WIDEST_ERROR):
+        refuse(field, name, f"has a bore {2e3 * reach.min():.4g} to {2e3 * reach.max():.4g} mm wide, and the pipe's is "
+               f"{2e3 * radius:g} mm", "check its place and its unit (wall_scale=0.001 for millimetres)")  # fmt: skip
+    return surface

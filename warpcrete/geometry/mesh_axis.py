@@ -1,0 +1,259 @@
+"""Axis of a pipe that is known as a mesh: the middles of its cross-sections, and a smooth curve through them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import refuse
+from .axis import Arc, Axis, Line
+from .curves import joining
+from .meshes import SurfaceQueries
+
+AROUND = 36
+"""Directions in which a section is measured."""
+ADVANCE = 0.25
+"""Distance between two sections over the radius."""
+FINEST = 1 / 256
+"""Least distance between two sections over the radius, with which the end is found."""
+MOST = 4000
+"""Largest number of sections."""
+ROUNDS = 3
+"""Rounds in which all sections are turned square to the curve through their middles."""
+WINDOW = 2
+"""Sections on either side whose middles give the direction in one."""
+STRAYS = 0.004
+"""Distance over the radius by which the curve may pass the middles of sections."""
+BENT = 0.004
+"""Angle by which a straight piece may differ from the directions in its sections [rad]."""
+LEAST_STRAIGHT = 4
+"""Least number of steps between sections that make a straight piece of their own."""
+NEAREST = 1e-3
+"""Distance of the first section from the start, over the size of the mesh."""
+ASIDE = 0.02
+"""Distance of the middle of the first section from the start over its radius, at most."""
+FARTHEST = 10.0
+"""Length of the rays that look for a wall, over the radius."""
+WIDENS = 3.0
+"""Radius of a section over that of the section before it above which the wall is taken to have an opening."""
+
+
+@dataclass(frozen=True)
+class Sections:
+    """Cross-sections of a bore in a row."""
+
+    ahead: np.ndarray
+    """Unit direction of the bore at its start, shape (3,)."""
+    points: np.ndarray
+    """Middles of their areas [m], shape (n, 3)."""
+    radii: np.ndarray
+    """Radii of circles of their areas [m], shape (n,)."""
+
+
+def follow(
+    vertices: np.ndarray, faces: np.ndarray, start: np.ndarray, ways: Sequence[np.ndarray], field: str, name: str
+) -> Sections:
+    """Follow a bore from a point on its axis to its end, section by section.
+
+    Each section lies square to the direction of the bore there and is measured by rays from its middle, so that outer
+    skins, rims and lids play no part. The bore ends where a section is open, which is behind a lid too.
+
+    Args:
+        vertices: Corners of the mesh [m], shape (v, 3).
+        faces: Corner numbers of each triangle, shape (f, 3).
+        start: Point on the axis where the bore begins [m], shape (3,).
+        ways: Unit directions that the axis may have there, shape (3,) each; the first in which it goes on is taken.
+        field: Field that errors name.
+        name: Value of that field.
+
+    Raises:
+        SceneError: No section is closed where the bore begins, the bore opens to the side, or it has no end.
+    """
+    queries = SurfaceQueries(vertices, faces)
+    ahead, radius = _first_way(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
+    points, radii = _march(queries, start, ahead, radius, field, name)
+    for _ in range(ROUNDS):
+        tangents = directions(points, ahead)
+        for k in range(1, len(points)):
+            found = _section(queries, points[k], tangents[k], radii[k])
+            if found is not None:
+                points[k], radii[k] = found
+    return Sections(ahead, points, radii)
+
+
+def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tuple[Line | Arc, ...]:
+    """Return as few lines and arcs as pass points (n, 3) [m] within a small part of the `radius` [m].
+
+    The curve begins at the first point in the direction `ahead` and has no kinks: pairs of arcs join points that lie
+    as far apart as this allows.
+    """
+    tangents = directions(points, ahead)
+    allowed = STRAYS * radius
+    found: list[Line | Arc] = []
+    here, tangent, position = 0, ahead, points[0]
+    last = len(points) - 1
+    while here < last:
+        curve, reached = _longest(_straight, points, tangents, here, position, tangent, allowed)
+        if curve is None or (reached - here < LEAST_STRAIGHT and reached < last):
+            curve, reached = _longest(_biarc, points, tangents, here, position, tangent, allowed)
+        assert curve is not None
+        axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))
+        end, way = axis.at(axis.length)
+        position, tangent, here = end[0], way[0], reached
+        found += curve
+    return tuple(found)
+
+
+def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Return unit tangents at points (n, 3) of a curve, by parabolas through their neighbours; the first is `ahead`."""
+    found = np.empty_like(points)
+    count = len(points)
+    for k in range(count):
+        low, high = max(0, k - WINDOW), min(count, k + WINDOW + 1)
+        near = points[low:high]
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(near, axis=0), axis=1))])
+        degree = min(2, len(near) - 1)
+        slope = np.polynomial.polynomial.polyfit(along - along[k - low], near, degree)[1]
+        found[k] = slope / np.linalg.norm(slope)
+    found[0] = ahead
+    return found
+
+
+def _first_way(
+    queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
+) -> tuple[np.ndarray, float]:
+    """Return the first of some directions in which a bore goes on from `start`, and its radius there [m]."""
+    beside = None
+    for way in ways:
+        first = _section(queries, start + NEAREST * extent * way, way, extent)
+        if first is None or _section(queries, start + ADVANCE * first[1] * way, way, first[1]) is None:
+            continue
+        middle = first[0] - start
+        beside = float(np.linalg.norm(middle - (middle @ way) * way))
+        if beside <= ASIDE * first[1]:
+            return way, first[1]
+    if beside is not None:
+        refuse(field, name, f"does not begin at its origin: the middle of its first section lies {beside:.4g} m beside",
+               "move it so that the middle of one end lies there")  # fmt: skip
+    leads = ", ".join("+-"[int(way.sum() < 0)] + "xyz"[int(np.argmax(np.abs(way)))] for way in ways)
+    refuse(field, name, f"has no closed section at its origin across {leads}",
+           "move it so that it begins there and leads that way, close its holes, or check its unit")  # fmt: skip
+
+
+def _march(
+    queries: SurfaceQueries, start: np.ndarray, ahead: np.ndarray, radius: float, field: str, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return middles and radii of sections from `start` [m] to the end, each square to the way from the last two."""
+    points, radii = [start], [radius]
+    tangent, step = ahead, ADVANCE
+    while len(points) <= MOST:
+        found = _section(queries, points[-1] + step * radii[-1] * tangent, tangent, radii[-1])
+        if found is not None and (found[0] - points[-1]) @ tangent <= 0.2 * step * radii[-1]:
+            found = None
+        if found is None:
+            if step <= FINEST:
+                break
+            step = 0.5 * step
+            continue
+        if found[1] > WIDENS * radii[-1]:
+            refuse(field, name, f"opens to the side {len(points) * ADVANCE * radius:.3g} m from its start",
+                   "close the opening: a bore has one passage")  # fmt: skip
+        points.append(found[0])
+        radii.append(found[1])
+        behind = points[max(0, len(points) - 3)]
+        way = points[-1] - behind
+        # The chord over two steps has the direction of their middle: go on by as much as it has turned since.
+        way = way / np.linalg.norm(way)
+        tangent = 2 * way - tangent if step == ADVANCE and len(points) > 3 else way
+        tangent = tangent / np.linalg.norm(tangent)
+    else:
+        refuse(field, name, f"has no end within {MOST} sections", "take a mesh of one pipe that is open or has lids")
+    if len(points) < 4:
+        refuse(field, name, "is too short to be followed", "check its unit, and that it leads away from its origin")
+    # Sections of the end lie close together; what they add to the direction there is noise.
+    kept = [0]
+    for k in range(1, len(points)):
+        if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k] or k == len(points) - 1:
+            kept.append(k)
+    return np.array(points)[kept], np.array(radii)[kept]
+
+
+def _section(
+    queries: SurfaceQueries, point: np.ndarray, tangent: np.ndarray, radius: float
+) -> tuple[np.ndarray, float] | None:
+    """Return the middle of the section through a point square to `tangent` [m], and its radius [m]; None if open."""
+    across = np.eye(3)[np.argmin(np.abs(tangent))]
+    normal = np.cross(tangent, across)
+    normal = normal / np.linalg.norm(normal)
+    side = np.cross(tangent, normal)
+    angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
+    for _ in range(4):
+        ways = np.cos(angle)[:, None] * normal + np.sin(angle)[:, None] * side
+        reach = queries.rays(np.broadcast_to(point, ways.shape), ways, FARTHEST * radius)
+        if np.any(missed := reach < 0):
+            # A ray along an edge may miss it: look again a little beside.
+            turned = angle[missed] + 0.1 / AROUND
+            ways[missed] = np.cos(turned)[:, None] * normal + np.sin(turned)[:, None] * side
+            reach[missed] = queries.rays(np.broadcast_to(point, ways[missed].shape), ways[missed], FARTHEST * radius)
+            if np.any(reach < 0):
+                return None
+        # Triangles between the point and two neighbours on the wall.
+        corners = point + reach[:, None] * ways
+        following = np.roll(corners, -1, axis=0)
+        area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
+        middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
+        moved = np.linalg.norm(middle - point)
+        point = middle
+        if moved < 1e-3 * radius:
+            break
+    return point, float(np.sqrt(area.sum() * (2 * np.pi / AROUND) / np.sin(2 * np.pi / AROUND) / np.pi))
+
+
+Curve = list[Line | Arc] | None
+
+
+def _longest(
+    attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
+    tangent: np.ndarray, allowed: float,
+) -> tuple[Curve, int]:  # fmt: skip
+    """Return the curve of one kind that reaches farthest from the point `here`, and the number of the point there."""
+    best, reached = None, here
+    for stop in range(here + 1, len(points)):
+        curve = attempt(points, tangents, here, stop, position, tangent, allowed)
+        if curve is None:
+            break
+        best, reached = curve, stop
+    return best, reached
+
+
+def _straight(
+    points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
+    allowed: float,
+) -> Curve:  # fmt: skip
+    """Return a line from a `position` along its `tangent` that passes some points closely, if it does."""
+    offset = points[here + 1 : stop + 1] - position
+    along = offset @ tangent
+    beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
+    turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
+    # The last direction belongs to what follows, which may bend.
+    if np.all(beside <= 0.5 * allowed) and (len(turned) == 1 or np.all(turned[:-1] <= BENT)):
+        return [Line(float(along[-1]))]
+    return None
+
+
+def _biarc(
+    points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
+    allowed: float,
+) -> Curve:  # fmt: skip
+    """Return two arcs from a `position` and `tangent` to a point and its direction, if they pass those between."""
+    if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
+        return None
+    curve = joining(position, tangent, points[stop], tangents[stop])
+    if stop > here + 1 and any(isinstance(piece, Arc) and piece.angle > 0.5 * np.pi for piece in curve):
+        return None
+    axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))
+    inner = points[here + 1 : stop]
+    beside = np.linalg.norm(inner - axis.nearest(inner), axis=1) if len(inner) else np.zeros(1)
+    return curve if beside.max() <= allowed or stop == here + 1 else None
