@@ -34,6 +34,8 @@ NEAREST = 1e-3
 """Distance of the first section from the start, over the size of the mesh."""
 ASIDE = 0.02
 """Distance of the middle of the first section from the start over its radius, at most."""
+SAME = 0.01
+"""Part by which the radius may change from one section to the last."""
 FARTHEST = 10.0
 """Length of the rays that look for a wall, over the radius."""
 WIDENS = 3.0
@@ -74,13 +76,44 @@ def follow(
     queries = SurfaceQueries(vertices, faces)
     ahead, radius = _first_way(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
     points, radii = _march(queries, start, ahead, radius, field, name)
+    _square(queries, points, radii, ahead)
+    # The last section was as far askew as the bore turns within a step: now it may lie nearer to the end.
+    points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
+    _square(queries, points, radii, ahead)
+    return Sections(ahead, points, radii)
+
+
+def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
+    """Turn sections square to the curve through their middles, which are moved in place."""
     for _ in range(ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
             found = _section(queries, points[k], tangents[k], radii[k])
             if found is not None:
                 points[k], radii[k] = found
-    return Sections(ahead, points, radii)
+
+
+def _to_the_end(
+    queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the last section ahead, as far as it stays closed and of its size."""
+    bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
+    step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
+    while step > FINEST / 4 * radii[-1]:
+        way = tangents[-1] + (far + step) * bend
+        way = way / np.linalg.norm(way)
+        further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
+        # Beside a lid, rays of a section that is a little askew end on the lid.
+        if further is None or abs(further[1] / radii[-1] - 1) > SAME:
+            step *= 0.5
+        else:
+            found, far = further, far + step
+    if found is None:
+        return points, radii
+    if far < 0.5 * ADVANCE * radii[-1]:
+        points[-1], radii[-1] = found
+        return points, radii
+    return np.concatenate([points, found[0][None]]), np.append(radii, found[1])
 
 
 def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tuple[Line | Arc, ...]:
@@ -175,7 +208,7 @@ def _march(
     # Sections of the end lie close together; what they add to the direction there is noise.
     kept = [0]
     for k in range(1, len(points)):
-        if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k] or k == len(points) - 1:
+        if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[0]:
             kept.append(k)
     return np.array(points)[kept], np.array(radii)[kept]
 
@@ -237,8 +270,9 @@ def _straight(
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
     turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
-    # The last direction belongs to what follows, which may bend.
-    if np.all(beside <= 0.5 * allowed) and (len(turned) == 1 or np.all(turned[:-1] <= BENT)):
+    # The direction in a point belongs to what follows as well, which may bend, unless it is the last of all.
+    inner = turned if stop == len(points) - 1 else turned[:-1]
+    if np.all(beside <= 0.5 * allowed) and np.all(inner <= BENT):
         return [Line(float(along[-1]))]
     return None
 

@@ -1,0 +1,201 @@
+"""The bore of a mesh: what its axis sees, whatever lies outside, and where it leads."""
+
+import numpy as np
+import pytest
+import trimesh
+from tubes import bent
+
+from warpcrete import SceneError, scenes
+from warpcrete.geometry.axis import Arc, Axis, Line
+from warpcrete.geometry.inner_surface import InnerSurface
+from warpcrete.geometry.lines import line_of
+from warpcrete.geometry.mesh_axis import follow, pieces_through
+from warpcrete.geometry.mesh_parts import WAYS
+from warpcrete.mps.part.layout import Frame, bore_distance
+
+STRAIGHT = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),))
+EIGHTH = np.pi / 4
+BENDS = {
+    "S": Axis(
+        (0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.25, EIGHTH, (0, 0, 1)), Arc(0.25, EIGHTH, (0, 0, -1)), Line(0.1))
+    ),
+    "elbow": Axis((0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.1, 2 * EIGHTH, (0, 1, 0)), Line(0.1))),
+    "in space": Axis(
+        (0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.2, 2 * EIGHTH, (0, 1, 0)), Arc(0.2, EIGHTH, (0, 0, 1)), Line(0.1))
+    ),
+    "without straight ends": Axis((0, 0, 0), (1, 0, 0), (Arc(0.3, 2 * EIGHTH, (0, 0, 1)),)),
+}  # fmt: skip
+FLOW = {"concrete": "no1", "flow": 1.5e-3, "straight": 0.3, "spacing": 0.0125, "gravity": 0.0}
+
+
+def repeated(path, change):
+    """Write the triangles of a file as `change` makes them of vertices and faces, and return the path."""
+    mesh = trimesh.load_mesh(path)
+    trimesh.Trimesh(*change(np.array(mesh.vertices), np.array(mesh.faces)), process=False).export(path)
+    return path
+
+
+LONG = {"before": 0.05, "after": 0.05}
+TUBES = {
+    "a wall of 0.5 mm": {"wall": 0.5e-3, **LONG},
+    "a wall of 4 mm": {"wall": 4e-3, **LONG},
+    "a wall of 30 mm": {"wall": 30e-3, **LONG},
+    "a wall that ends with the part": {"wall": 4e-3},
+    "an open tube that ends with the part": {},
+    "lids that end with the part": {"lids": True},
+    "lids 5 mm beyond": {"lids": True, "before": 5e-3, "after": 5e-3},
+    "open ends 20 mm beyond": {"before": 0.02, "after": 0.02},
+    "a square skin": {"wall": 4e-3, "square": True, **LONG},
+    "a skin aside": {"wall": 8e-3, "aside": 5e-3, **LONG},
+}
+CHANGES = {
+    "every triangle twice": lambda v, f: (v, np.concatenate([f, f])),
+    "both sides": lambda v, f: (v, np.concatenate([f, f[:, ::-1]])),
+    "corners not merged": lambda v, f: (v[f].reshape(-1, 3), np.arange(f.size).reshape(-1, 3)),
+}
+
+
+@pytest.fixture(scope="module")
+def open_tube(tmp_path_factory):
+    return distances(bent(tmp_path_factory.mktemp("tube") / "open.stl", STRAIGHT, **LONG))
+
+
+def distances(path):
+    """Distances from the wall that the cells of a straight part see, inside and outside and beyond both ends."""
+    scene = scenes.part(unit="horizontal", wall=str(path), **FLOW)
+    random = np.random.default_rng(7)
+    along = random.uniform(-0.02, 0.62, 500)
+    aside = random.uniform(-0.06, 0.06, (500, 2))
+    return bore_distance(scene)(Frame(scene).inward(np.column_stack([along, aside])))
+
+
+@pytest.mark.parametrize("made", TUBES.values(), ids=TUBES)
+def test_a_bore_is_the_same_whatever_lies_outside(tmp_path, open_tube, made):
+    found = distances(bent(tmp_path / "tube.stl", STRAIGHT, **made))
+    inside = open_tube > 0
+    assert 100 < np.count_nonzero(inside) < 400
+    assert np.array_equal(found > 0, inside)
+    assert found[inside] == pytest.approx(open_tube[inside], abs=2e-7)
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_bore_is_the_same_however_its_triangles_are_stored(tmp_path, open_tube, change):
+    path = repeated(bent(tmp_path / "tube.stl", STRAIGHT, wall=4e-3, **LONG), change)
+    inside = open_tube > 0
+    found = distances(path)
+    assert np.array_equal(found > 0, inside) and found[inside] == pytest.approx(open_tube[inside], abs=2e-7)
+
+
+def test_the_inner_surface_keeps_the_facets_of_the_bore_alone(tmp_path):
+    """Those of a thick tube are as many as an open one has, and a step inside the bore is one of its walls."""
+    mesh = trimesh.load_mesh(bent(tmp_path / "thick.stl", STRAIGHT, wall=4e-3))
+    surface = InnerSurface(mesh.vertices, mesh.faces, STRAIGHT, 0.05, "wall", "thick")
+    assert len(surface.faces) == 2 * 64 * (1 + int(0.6 / 0.01)) and np.all(np.diff(surface.origin) > 0)
+    assert np.linalg.norm(surface.vertices[:, 1:], axis=1) == pytest.approx(0.05, rel=1e-6)
+    points, faces = STRAIGHT.swept(np.array([0.0, 0.3, 0.3 + 1e-9, 0.6]), np.array([0.05, 0.05, 0.04, 0.04]), 64)
+    step = InnerSurface(points, faces, STRAIGHT, 0.05, "wall", "step")
+    assert len(step.faces) == len(faces)
+    assert step.distance(np.array([[0.299, 0.045, 0.0]])) == pytest.approx(1e-3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("cut", "words"),
+    [
+        (lambda x: x[:, 0] < 0.5, r"encloses the axis from 0 to 0\.50\d* m, and the part goes from 0 to 0\.6 m"),
+        (lambda x: x[:, 0] > 0.1, r"encloses the axis from 0\.09\d* to 0\.6 m"),
+        (lambda x: (np.abs(x[:, 0] - 0.3) > 0.06) | (x[:, 1] < 0), r"has gaps along the axis: \d+ of \d+ sections are"),
+        (lambda x: (np.abs(x[:, 0] - 0.31) > 0.006) | (x[:, 1] < 0.049), r"is not closed: \d+ border edges lie"),
+    ],
+)  # fmt: skip
+def test_a_mesh_that_is_no_whole_bore_is_refused(tmp_path, cut, words):
+    whole = trimesh.load_mesh(bent(tmp_path / "tube.stl", STRAIGHT))
+    trimesh.Trimesh(whole.vertices, whole.faces[cut(whole.triangles_center)]).export(tmp_path / "cut.stl")
+    with pytest.raises(SceneError, match=rf"^wall = '.*cut\.stl': {words}"):
+        scenes.part(unit="horizontal", wall=str(tmp_path / "cut.stl"), **FLOW)
+
+
+@pytest.mark.parametrize("bend", BENDS.values(), ids=BENDS)
+@pytest.mark.parametrize("made", [{}, {"lids": True}, {"wall": 4e-3}], ids=["open", "lids", "wall"])
+def test_the_axis_of_a_bent_bore_is_found(tmp_path, bend, made):
+    """It ends where the mesh does, in its direction, and lies nowhere a hundredth of the radius beside."""
+    mesh = trimesh.load_mesh(bent(tmp_path / "bend.stl", bend, **made))
+    found = follow(mesh.vertices, mesh.faces, np.zeros(3), [np.array(way, float) for way in WAYS], "wall", "bend")
+    assert found.ahead.tolist() == [1, 0, 0] and found.radii == pytest.approx(0.05, rel=2e-3)
+    pieces = pieces_through(found.points, found.ahead, 0.05)
+    axis = Axis((0, 0, 0), (1, 0, 0), pieces)
+    assert len(pieces) < 20 and axis.length == pytest.approx(bend.length, abs=5e-4)
+    (end,), (way,) = axis.at(axis.length)
+    (known,), (ahead,) = bend.at(bend.length)
+    assert np.linalg.norm(end - known) < 5e-4 and np.linalg.norm(way - ahead) < 0.01
+    middles = bend.at(np.linspace(0, bend.length, 200))[0]
+    assert np.linalg.norm(middles - axis.nearest(middles), axis=1).max() < 0.01 * 0.05
+
+
+def test_a_part_goes_as_its_mesh_does(tmp_path):
+    """Diameter, length and rise come from the mesh, and pipe goes on straight before and behind it."""
+    path = bent(tmp_path / "s.stl", BENDS["S"], wall=4e-3)
+    scene = scenes.part(wall=str(path), **FLOW | {"straight": 0.25})
+    assert scene.parameters["unit"] == "mesh" and scene.radius == pytest.approx(0.05, rel=2e-3)
+    assert scene.axis.length == pytest.approx(0.5 + BENDS["S"].length, abs=5e-4)
+    assert scene.rise == pytest.approx(2 * 0.25 * (1 - np.cos(EIGHTH)), abs=2e-4)
+    assert scene.insert == scene.middle == pytest.approx((0.25, 0.25 + BENDS["S"].length), abs=5e-4)
+    assert scene.bore(np.linspace(0, scene.axis.length, 50)) == pytest.approx(0.05, rel=3e-3)
+    middles = scene.axis.at(np.linspace(0, scene.axis.length, 50))[0]
+    assert bore_distance(scene)(Frame(scene).inward(middles)) == pytest.approx(0.05, rel=0.01)
+    up = Axis((0, 0, 0), (0, 0, 1), (Line(0.1), Arc(0.2, EIGHTH, (1, 0, 0)), Line(0.1)))
+    upright = scenes.part(wall=str(bent(tmp_path / "up.stl", up)), **FLOW)
+    assert upright.axis.tangent == (0, 0, 1) and upright.rise > 0.6
+
+
+def test_a_line_goes_on_where_a_bent_bore_leads(tmp_path):
+    bent(tmp_path / "elbow.stl", BENDS["elbow"], facets=96)
+    parts = [{"straight": 1}, {"bend": {"to": "up", "radius": 0.3}}, {"bore": {"file": "elbow.stl"}}, {"straight": 1}]
+    line = line_of({"diameter": "100 mm", "parts": parts}, "it", tmp_path)
+    assert line.parts[2].length == pytest.approx(BENDS["elbow"].length, abs=5e-4)
+    # The mesh turns from its x to its y, which lies to the left of a line that went level and then up.
+    assert line.axis.at(line.length)[1][0] == pytest.approx([0, 1, 0], abs=0.01)
+    assert line.parts[2].rise == pytest.approx(0.2, abs=1e-3) and line.parts[3].rise == pytest.approx(0, abs=0.01)
+
+
+def test_elements_go_through_a_bent_bore(tmp_path):
+    """The wall is the inner surface between round pipes, all along the axis."""
+    path = bent(tmp_path / "s.stl", BENDS["S"], radius=0.04, wall=1e-3)
+    scene = scenes.part_dem(wall=str(path), straight=0.15, size_min=12e-3, size_max=20e-3, travel=0.04, flow=1e-3)
+    wall = next(wall for wall in scene.walls if wall.name == "pipe")
+    middles = scene.pipe.axis.at(np.linspace(0.01, scene.pipe.axis.length - 0.01, 100))[0]
+    apart = trimesh.proximity.closest_point_naive(trimesh.Trimesh(wall.vertices, wall.faces), middles)[1]
+    assert apart == pytest.approx(0.04, rel=0.02)
+    beyond = np.linalg.norm(wall.vertices - scene.pipe.axis.nearest(wall.vertices), axis=1)
+    assert beyond.max() < 0.0404, "no outer skin"
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda mesh: mesh.apply_translation((0.2, 0.1, 0)), "has no closed section at its origin"),
+        (lambda mesh: mesh.apply_translation((0, 0.01, 0)), r"does not begin at its origin: .* lies 0\.01 m beside"),
+        (lambda mesh: mesh.apply_scale(1e3), r"is too short"),
+    ],
+)
+def test_a_bore_that_cannot_be_followed_says_why_in_one_line(tmp_path, made, words):
+    mesh = trimesh.load_mesh(bent(tmp_path / "s.stl", BENDS["S"]))
+    made(mesh).export(tmp_path / "moved.stl")
+    with pytest.raises(SceneError, match=words) as caught:
+        scenes.part(wall=str(tmp_path / "moved.stl"), **FLOW)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.thorough
+def test_the_pressure_of_a_bent_bore_is_that_of_bends(device, tmp_path):
+    """An S of two bends costs what a line of the same bends does; its polygon of 96 corners is 0.1 % narrower."""
+    from warpcrete.methods import Simulation
+
+    bend = Axis((0, 0, 0), (1, 0, 0), (Arc(0.25, EIGHTH, (0, 0, 1)), Arc(0.25, EIGHTH, (0, 0, -1))))
+    path = bent(tmp_path / "s.stl", bend, facets=96, wall=4e-3)
+    bends = "{bend: {to: up, angle: 45, radius: 0.25}}, {bend: {to: level, radius: 0.25}}"
+    parts = f"[{{straight: 0.3}}, {bends}, {{straight: 0.3}}]"
+    (tmp_path / "s.yaml").write_text(f"diameter: 100 mm\nparts: {parts}\n", encoding="utf-8")
+    given = {name: value for name, value in FLOW.items() if name != "straight"}
+    meshed = Simulation(scenes.part(wall=str(path), **FLOW), device=device).run().result
+    known = Simulation(scenes.part(line=str(tmp_path / "s.yaml"), **given), device=device).run().result
+    assert meshed["pressure"]["value"] == pytest.approx(known["pressure"]["value"], rel=0.01)
