@@ -120,7 +120,7 @@ def test_the_axis_of_a_bent_bore_is_found(tmp_path, bend, made):
     """It ends where the mesh does, in its direction, and lies nowhere a hundredth of the radius beside."""
     mesh = trimesh.load_mesh(bent(tmp_path / "bend.stl", bend, **made))
     found = follow(mesh.vertices, mesh.faces, np.zeros(3), [np.array(way, float) for way in WAYS], "wall", "bend")
-    assert found.ahead.tolist() == [1, 0, 0] and found.radii == pytest.approx(0.05, rel=2e-3)
+    assert found.ahead.tolist() == [1, 0, 0] and found.radii[:-1] == pytest.approx(0.05, rel=2e-3)
     pieces = pieces_through(found.points, found.ahead, 0.05)
     axis = Axis((0, 0, 0), (1, 0, 0), pieces)
     assert len(pieces) < 20 and axis.length == pytest.approx(bend.length, abs=5e-4)

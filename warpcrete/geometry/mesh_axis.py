@@ -28,14 +28,16 @@ STRAYS = 0.004
 """Distance over the radius by which the curve may pass the middles of sections."""
 BENT = 0.004
 """Angle by which a straight piece may differ from the directions in its sections [rad]."""
+STRAYING = 0.3
+"""Distance over the step by which a section's middle may lie beside where it is sought."""
 LEAST_STRAIGHT = 4
 """Least number of steps between sections that make a straight piece of their own."""
 NEAREST = 1e-3
 """Distance of the first section from the start, over the size of the mesh."""
 ASIDE = 0.02
 """Distance of the middle of the first section from the start over its radius, at most."""
-SAME = 0.01
-"""Part by which the radius may change from one section to the last."""
+SAME = 0.02
+"""Part by which the radius of a section may change when it is moved a little."""
 FARTHEST = 10.0
 """Length of the rays that look for a wall, over the radius."""
 WIDENS = 3.0
@@ -89,7 +91,7 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
             found = _section(queries, points[k], tangents[k], radii[k])
-            if found is not None:
+            if found is not None and abs(found[1] / radii[k] - 1) <= SAME:
                 points[k], radii[k] = found
 
 
@@ -180,37 +182,30 @@ def _march(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return middles and radii of sections from `start` [m] to the end, each square to the way from the last two."""
     points, radii = [start], [radius]
-    tangent, step = ahead, ADVANCE
+    tangent = ahead
     while len(points) <= MOST:
-        found = _section(queries, points[-1] + step * radii[-1] * tangent, tangent, radii[-1])
-        if found is not None and (found[0] - points[-1]) @ tangent <= 0.2 * step * radii[-1]:
-            found = None
-        if found is None:
-            if step <= FINEST:
-                break
-            step = 0.5 * step
-            continue
+        step = ADVANCE * radii[-1]
+        found = _section(queries, points[-1] + step * tangent, tangent, radii[-1])
+        if found is None or np.linalg.norm(found[0] - points[-1] - step * tangent) > STRAYING * step:
+            break
         if found[1] > WIDENS * radii[-1]:
             refuse(field, name, f"opens to the side {len(points) * ADVANCE * radius:.3g} m from its start",
                    "close the opening: a bore has one passage")  # fmt: skip
         points.append(found[0])
         radii.append(found[1])
-        behind = points[max(0, len(points) - 3)]
-        way = points[-1] - behind
+        way = points[-1] - points[max(0, len(points) - 3)]
         # The chord over two steps has the direction of their middle: go on by as much as it has turned since.
         way = way / np.linalg.norm(way)
-        tangent = 2 * way - tangent if step == ADVANCE and len(points) > 3 else way
+        tangent = 2 * way - tangent if len(points) > 3 else way
         tangent = tangent / np.linalg.norm(tangent)
     else:
         refuse(field, name, f"has no end within {MOST} sections", "take a mesh of one pipe that is open or has lids")
-    if len(points) < 4:
+    # Rays of the last section, which may be askew, may end on a lid: it is found again when directions are known.
+    if len(points) > 4:
+        points, radii = points[:-1], radii[:-1]
+    if len(points) < 3:
         refuse(field, name, "is too short to be followed", "check its unit, and that it leads away from its origin")
-    # Sections of the end lie close together; what they add to the direction there is noise.
-    kept = [0]
-    for k in range(1, len(points)):
-        if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[0]:
-            kept.append(k)
-    return np.array(points)[kept], np.array(radii)[kept]
+    return np.array(points), np.array(radii)
 
 
 def _section(
