@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 
 import numpy as np
 
@@ -66,7 +65,6 @@ def scene(parameters: PartElements) -> Scene:
         ),
         stations=_stations(given, course),
         remarks=tuple(_remarks(given, course, sizes)),
-        parameters=asdict(given),
         **settings_of(given),
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import fields
 
 import numpy as np
 
@@ -102,7 +102,6 @@ def scene(parameters: PipeParameters) -> Scene:
         stations=_stations(given, axis) if bore is None else None,
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
-        parameters=asdict(given),
         **settings_of(given),
         **asked_of(given),
     )

@@ -311,7 +311,7 @@ def test_bars_hold_back_grains_that_are_wider_than_their_gaps(device):
 
 @pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem"])
 def test_a_scene_is_made_again_from_its_parameters(name):
-    from warpcrete.core.provenance import fingerprint
+    from warpcrete.core.fingerprints import fingerprint
 
     make = scenes.modules()[name].scene
     for law in ("linear", "bonds", "mortar", "rolling"):

@@ -424,7 +424,7 @@ def explain_command(arguments: tuple[str, ...]) -> None:
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
     try:
-        cli(standalone_mode=False)
+        cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
         raise SystemExit(request.exit_code) from None
     except click.exceptions.NoArgsIsHelpError as error:

@@ -14,9 +14,10 @@ from typing import Any
 from ..core.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
 from ..core.files import read_json, write_json
+from ..core.fingerprints import fingerprint
 from ..core.forecast import Forecast
 from ..core.frames import LEAST, SLOWEST
-from ..core.provenance import fingerprint, provenance
+from ..core.provenance import provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
 from ..scenes import modules
