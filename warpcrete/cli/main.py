@@ -147,7 +147,7 @@ def _repeat_command(path: Path) -> click.Command:
             raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
         if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
             raise click.UsageError("--accuracy, --trade: mean nothing beside a scene.json, which says all settings")
-        record, module = job.saved_scene(path, _scenes())
+        record, module = job.repeatable_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
         if "threads" in record.get("command", {}):
             kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)

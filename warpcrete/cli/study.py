@@ -101,8 +101,7 @@ def report(study: Study) -> None:
         click.echo(study.markdown())
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
-    done = len(study.results) + len(study.failures)
-    click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
+    click.echo(f"\n{study.progress}; study folder: {study.folder}")
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:

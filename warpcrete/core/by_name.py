@@ -149,5 +149,6 @@ def _object(name: str, kind: type, given: Any, values: Mapping[str, Any]) -> Any
     try:
         return kind(**changes) if given is None else replace(given, **changes)
     except SceneError as error:
-        own = str(error).partition(" ")[0]
-        raise SceneError(f"{name}_{error}" if own in declared_fields(kind) else str(error)) from error
+        said = str(error).removeprefix(f"{getattr(kind, 'called', '')} ".lstrip())
+        own = said.partition(" ")[0]
+        raise SceneError(f"{name}_{said}" if own in declared_fields(kind) else str(error)) from error

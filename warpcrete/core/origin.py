@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import RunFolderError
+from .errors import RunFolderError, refuse
 from .fingerprints import fingerprint
 
 LONGEST_LIST = 20
@@ -34,6 +34,8 @@ def files_read() -> Iterator[dict[str, str]]:
         yield found
     finally:
         _files.reset(token)
+        if (outer := _files.get()) is not None:
+            outer.update(found)
 
 
 def note_file(path: Path) -> None:
@@ -62,7 +64,7 @@ def check_files(where: Path, files: Mapping[str, str]) -> None:
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(
             f"'{where}': its scene was made with '{changed[0]}', which {'is gone' if gone else 'has changed since'}; "
-            "put the file back, or make a new run with 'warpcrete run SCENE'"
+            "put the file back, or begin anew"
         )
 
 
@@ -109,6 +111,15 @@ def changed_fields(scene: Any) -> list[str]:
 def arguments_of(scene: Any) -> Mapping[str, Any]:
     """Return the arguments that make this very scene again; empty if it was changed or built by hand."""
     return {} if changed_fields(scene) else scene.parameters
+
+
+def check_named(scene: Any) -> None:
+    """Refuse a scene with an object, such as a contact law, that its name does not lead other processes to."""
+    made = scene.parameters
+    hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
+    for name in (*made.lost, *hidden):
+        refuse(name, made[name], "cannot be made again in another run or process",
+               "put its class into a module of its own, with all its fields declared")  # fmt: skip
 
 
 def readable(value: Any) -> Any:
