@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from ..core.errors import WarpcreteError
@@ -88,11 +89,9 @@ class _Worker:
     def tell(self, message: Any) -> None:
         """Send a message; a worker that has died is found out when its answer is awaited."""
         assert self._process.stdin is not None
-        try:
+        with suppress(OSError):
             pickle.dump(message, self._process.stdin)
             self._process.stdin.flush()
-        except OSError:
-            pass
 
     def hear(self) -> Any:
         """Wait for an answer."""
@@ -125,10 +124,8 @@ class _Worker:
     def end(self) -> None:
         """Close the pipe that the worker listens to, which ends it."""
         assert self._process.stdin is not None and self._process.stdout is not None
-        try:
+        with suppress(OSError):
             self._process.stdin.close()
-        except OSError:
-            pass
         self._process.wait()
         self._process.stdout.close()
 
