@@ -133,8 +133,8 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         job.resume(resume, _scenes(), live=settings["live"], quiet=settings["quiet"])
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
-    return options.GroupedCommand(
-        name, params=own + options.run_options(), callback=callback, help=inspect.getdoc(module.scene)
+    return options.SceneCommand(
+        name, module.scene, params=own + options.run_options(), callback=callback, help=inspect.getdoc(module.scene)
     )
 
 

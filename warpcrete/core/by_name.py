@@ -8,14 +8,18 @@ know the object by these names and numbers alone.
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from .errors import SceneError, refuse
 from .fingerprints import fingerprint
+from .origin import note_file
 from .parameters import Field, Spread, declared_fields
 
 
@@ -50,6 +54,7 @@ class ByName(Spread):
         if value is None:
             return {field.name: None}, True
         kind = type(value)
+        _note_source(kind)
         own = {}
         for key, (_, path) in _leaves(field.name, kind):
             own[key] = value
@@ -114,6 +119,15 @@ def _checked(field: Field, found: Any, name: str) -> type:
     if missing:
         refuse(field.name, name, f"lacks {', '.join(missing)}", "define them")
     return found
+
+
+def _note_source(kind: type) -> None:
+    """Count the file of a user's class among the files that a scene reads."""
+    if kind.__module__.partition(".")[0] in (__package__.partition(".")[0], "__main__"):
+        return
+    with suppress(TypeError, OSError):
+        if source := inspect.getsourcefile(kind):
+            note_file(Path(source))
 
 
 def own_fields(name: str, kind: type) -> dict[str, Field]:

@@ -247,7 +247,8 @@ class SceneFunction(Generic[P, S]):
             parameters.check_needed()
             with files_read() as files:
                 scene = self._build(parameters)
-            object.__setattr__(scene, "parameters", self._arguments(parameters, scene, files))
+                values, lost = self._written(parameters)
+            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
             return scene
         except OverflowError as error:
             numbers = {name: value for name, value in values.items() if isinstance(value, (int, float)) and value}
@@ -263,8 +264,8 @@ class SceneFunction(Generic[P, S]):
         """Name of the scene, as the command has it."""
         return self._build.__module__.rpartition(".")[2].replace("_", "-")
 
-    def _arguments(self, parameters: Any, scene: Any, files: Mapping[str, str]) -> Arguments:
-        """Return the arguments that make a scene again, as plain values."""
+    def _written(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Return parameters as plain values, and the names of those whose values these do not make again."""
         values: dict[str, Any] = {}
         lost = []
         for name, field in declared_fields(self.parameters).items():
@@ -273,7 +274,7 @@ class SceneFunction(Generic[P, S]):
                 plain, same = rule.written(field, values[name])
                 values |= plain
                 lost += [] if same else [name]
-        return Arguments.of(scene, self.name, values, files, tuple(lost))
+        return values, tuple(lost)
 
     def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
         """Return the declared fields, and those that belong to the values given for some of them."""
