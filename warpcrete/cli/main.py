@@ -134,7 +134,7 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
-        name, module.scene, params=own + options.run_options(), callback=callback, help=inspect.getdoc(module.scene)
+        name, module.scene, params=own + options.run_options(), callback=callback, help=module.scene.description
     )
 
 

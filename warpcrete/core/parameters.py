@@ -13,8 +13,9 @@ import inspect
 import math
 import re
 import sys
+import textwrap
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -213,12 +214,28 @@ class Declared:
                            f"leave it out, or change {rule.field}")  # fmt: skip
 
 
+def _listed(fields: Iterable[Field]) -> str:
+    """Return parameters as help() shows them: by group, each with its type, default, help text and unit."""
+    lines: list[str] = []
+    group = ""
+    for field in fields:
+        if field.group != group:
+            group = field.group
+            lines += ["", group.rstrip(".")]
+        kind = WORDS.get(field.kind, field.kind.__name__)
+        default = "required" if field.default is dataclasses.MISSING else f"default {field.default!r}"
+        lines += [f"    {field.name}: {kind}, {default}", *textwrap.wrap(field.help, 100, initial_indent=8 * " ",
+                                                                         subsequent_indent=8 * " ")]  # fmt: skip
+    return "\n".join(["Parameters, all by name:", *lines])
+
+
 class SceneFunction(Generic[P, S]):
     """A function of keywords, which are the fields of `parameters`; see :func:`scene_function`."""
 
     def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
-        self.__doc__ = build.__doc__
+        self.description = inspect.getdoc(build) or ""
+        self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
         self.__name__ = getattr(build, "__name__", "scene")
         kind = inspect.Parameter.KEYWORD_ONLY
         self.__signature__ = inspect.Signature(
@@ -227,6 +244,9 @@ class SceneFunction(Generic[P, S]):
                 for f in declared_fields(parameters).values()
             ]
         )
+
+    def __repr__(self) -> str:
+        return f"<scene function {self.name}>"
 
     @property
     def module(self) -> types.ModuleType:
