@@ -123,7 +123,7 @@ def _checked(field: Field, found: Any, name: str) -> type:
 
 def _note_source(kind: type) -> None:
     """Count the file of a user's class among the files that a scene reads."""
-    if kind.__module__.partition(".")[0] in (__package__.partition(".")[0], "__main__"):
+    if kind.__module__ == "__main__":
         return
     with suppress(TypeError, OSError):
         if source := inspect.getsourcefile(kind):

@@ -22,6 +22,8 @@ from .fingerprints import fingerprint
 LONGEST_LIST = 20
 """Numbers of an array, or entries of a list, that a record still shows."""
 
+PACKAGE = Path(__file__).resolve().parents[1]
+
 _files: ContextVar[dict[str, str] | None] = ContextVar("files", default=None)
 
 
@@ -39,10 +41,10 @@ def files_read() -> Iterator[dict[str, str]]:
 
 
 def note_file(path: Path) -> None:
-    """Tell :func:`files_read` that an input file is read."""
-    found = _files.get()
-    if found is not None:
-        found[str(path.resolve())] = digest_of(path)
+    """Tell :func:`files_read` that an input file is read; those of this package belong to its version."""
+    found, whole = _files.get(), path.resolve()
+    if found is not None and PACKAGE not in whole.parents:
+        found[str(whole)] = digest_of(whole)
 
 
 def digest_of(path: Path) -> str:

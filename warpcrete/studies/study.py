@@ -298,8 +298,10 @@ def resume_study(
     It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
     """
     check_scheduler(scheduler, workers, processes)
+    record = read_json(folder / "study.json")
+    check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
-    device = unnumbered(read_json(folder / "study.json").get("device"))
+    device = unnumbered(record.get("device"))
     with open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
@@ -309,7 +311,6 @@ def _go_on(
 ) -> Study:
     """Run what is not finished, and write the tables."""
     record, study = _opened(folder, module)
-    check_files(folder / "study.json", record.get("files", {}))
     cases = study.cases
     pending = [case for case in cases if not _known(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
