@@ -168,7 +168,7 @@ def test_a_study_does_not_go_on_with_a_file_that_changed(tmp_path, monkeypatch):
     begun = studies.run_study("pipe", module, {"velocity": [0.1, 0.2]}, base=given, out=tmp_path / "s", device="cpu")
     assert not begun.finished
     mesh.write_bytes(mesh.read_bytes() + b" ")
-    with pytest.raises(RunFolderError, match="study.json': its scene was made with '.*tube.stl', which has changed"):
+    with pytest.raises(RunFolderError, match=r"study\.json': its scene was made with '.*tube\.stl', which has changed"):
         studies.resume_study(tmp_path / "s", module)
 
 
