@@ -313,8 +313,9 @@ class SceneFunction(Generic[P, S]):
                 for name in found:
                     if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
                         value = values.get(field.name)
+                        own = ", ".join(rule.fields(field, value))
                         refuse(name, found[name], f"means nothing beside {field.name} = {value!r}",
-                               f"leave it out, or change {field.name}")  # fmt: skip
+                               f"which has {own}" if own else f"leave it out, or change {field.name}")  # fmt: skip
         return found
 
     def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -374,6 +374,10 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
     found: dict[str, list[Any]] = {}
     for name, values in varied.items():
         (own,) = scene.resolved({name: None})
+        for value in values:
+            if is_dataclass(value):
+                refuse(name, value, "must be varied by names and numbers",
+                       f"give the name of its class, and vary its parameters, {name}_...")  # fmt: skip
         if own in found:
             refuse(name, values, f"{own} varies already, by this or another name of it", "leave out one")
         found[own] = [scene.resolved({name: value})[own] for value in values]
