@@ -5,12 +5,13 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 from pumping import command
 
 from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
-from warpcrete.studies import running
+from warpcrete.studies import calibrate, running
 from warpcrete.studies import study as studies
 from warpcrete.studies.cases import MOST_CASES, Case, cases_of
 from warpcrete.studies.study import Study
@@ -56,7 +57,7 @@ def test_a_case_whose_process_dies_is_failed_and_the_others_go_on(tmp_path, monk
     running.run_in_processes({}, studies, tmp_path, cases, 1, lambda case, outcome: found.update({case.name: outcome}))
     assert found == outcomes
     study = Study(tmp_path, "pipe", cases, results={"2": outcomes["2"]}, failures={"1": str(outcomes["1"])})
-    assert study.progress == "1 of 2 cases done, 1 failed" and study.progress in repr(study)
+    assert study.lost == ["1"] and study.progress == "1 of 2 cases done, 1 failed" and study.progress in repr(study)
 
 
 def _come_to(outcome):
@@ -129,3 +130,16 @@ def test_python_dash_m_is_the_command():
     assert done.returncode == 0 and done.stdout.startswith("Usage: warpcrete [OPTIONS]")
     done = subprocess.run([sys.executable, "-m", "warpcrete", "run", "chute"], capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.startswith("error: scene = 'chute'")
+
+
+def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_path, monkeypatch):
+    cases = [Case("001", {}, {}), Case("002", {}, {})]
+    study = Study(tmp_path, "slump", cases, results={"001": {}}, failures={"002": "its process was killed by SIGKILL"})
+    monkeypatch.setattr(calibrate, "_ran", lambda *rest: study)
+    found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
+    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs are lost like this; go on with"
+    with pytest.raises(WarpcreteError, match=lost):
+        calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
+    (tmp_path / "002").mkdir()
+    (tmp_path / "002" / running.FAILED).write_text("unstable")
+    assert study.lost == []

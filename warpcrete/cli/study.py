@@ -14,7 +14,6 @@ from ..core.files import next_folder, read_json
 from ..core.parameters import Alias, Field, Spread
 from ..core.progress import ProgressBar
 from ..record.recorders import RECORDERS
-from ..studies.running import FAILED
 from ..studies.study import Study, resume_study, run_study
 from .run import CHECK_FAILED, INTERRUPTED
 
@@ -88,8 +87,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         click.echo(f"go on with: warpcrete study --resume {study.folder}")
         raise SystemExit(INTERRUPTED)
     if study.failures:
-        if again := [name for name in study.failures if not (study.folder / name / FAILED).is_file()]:
-            click.echo(f"run {', '.join(again)} again with: warpcrete study --resume {study.folder}")
+        if study.lost:
+            click.echo(f"run {', '.join(study.lost)} again with: warpcrete study --resume {study.folder}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
         names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())

@@ -192,6 +192,11 @@ def run_round(
         study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
         if not study.finished:
             return False
+        if study.lost:
+            raise WarpcreteError(
+                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} runs "
+                f"are lost like this; go on with 'warpcrete calibrate --resume {found.folder}'"
+            )
         _take(study, trials, found.task.groups[group])
     return True
 

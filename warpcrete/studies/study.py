@@ -73,6 +73,11 @@ class Study:
         return len(self.results) + len(self.failures) == len(self.cases)
 
     @property
+    def lost(self) -> list[str]:
+        """Names of the failed cases that are not to blame themselves, as their process died: they run again."""
+        return [name for name in self.failures if not (self.folder / name / FAILED).is_file()]
+
+    @property
     def suspect(self) -> dict[str, list[str]]:
         """Checks that failed, by the names of the finished cases that have any."""
         found = {name: failed_checks(result) for name, result in self.results.items()}
