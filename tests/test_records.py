@@ -56,6 +56,8 @@ def test_every_field_of_every_scene_is_watched(name, tmp_path):
         every = [f.name for f in dataclasses.fields(scene) if f.name != "parameters"]
         assert changed_fields(other) == (every if field.name == "parameters" else [field.name]), field.name
         assert arguments_of(other) == {}
+    by_hand = json.loads(saved(dataclasses.replace(scene, parameters={}), tmp_path).read_text())
+    assert list(by_hand["modified"]) == every and by_hand["parameters"] == {} and by_hand["files"] == {}
 
 
 def test_arrays_and_arguments_changed_in_place_are_seen():
