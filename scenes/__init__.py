@@ -20,14 +20,15 @@ if TYPE_CHECKING:
     from .jring_dem import scene as jring_dem
     from .lbox import scene as lbox
     from .lbox_dem import scene as lbox_dem
+    from .part import scene as part
     from .part_dem import scene as part_dem
     from .pipe import scene as pipe
     from .slump import scene as slump
     from .slump_dem import scene as slump_dem
     from .tube import scene as tube
 
-__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "part_dem",
-           "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "part",
+           "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Methods by the names that results have for them: moving particles, discrete elements."""
@@ -54,6 +55,10 @@ def by_method(name: str, method: str) -> str:
         refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
                f"means nothing: there is no scene {name!r}", "'warpcrete list' names all scenes")  # fmt: skip
     return found[method]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 globals().update({name.replace("-", "_"): module.scene for name, module in modules().items()})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
@@ -71,7 +71,6 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         sides={"left": "mirror", "front": "mirror", "bottom": "open"},
         dimensions={name: getattr(given, name) for name in names},
         remarks=REMARKS,
-        parameters=asdict(given),
         **given.settings(),
     )
 

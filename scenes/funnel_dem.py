@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from warpcrete.core.errors import refuse
@@ -82,7 +82,6 @@ def scene(parameters: FunnelElements) -> Scene:
             dimensions={name: getattr(given, name) for name in names} | {"whole_height": whole},
         ),
         remarks=vessel_remarks(given, "the funnel"),
-        parameters=asdict(given),
         **given.settings(),
     )
 

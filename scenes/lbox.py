@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
@@ -98,7 +98,6 @@ def scene(parameters: BoxParameters) -> FreeScene:
         walls_slip=given.surfaces == "slips",
         dimensions={"column_width": gate, "width": given.width},
         remarks=("half of the box is computed, between its middle plane and a side",),
-        parameters=asdict(given),
         **given.settings(),
     )
 

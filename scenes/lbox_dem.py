@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
@@ -80,7 +80,6 @@ def scene(parameters: BoxElements) -> Scene:
             dimensions={"column_width": gate, "length": given.length, "width": width},
         ),
         remarks=vessel_remarks(given, "the box's sides"),
-        parameters=asdict(given),
         **given.settings(),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,7 +97,6 @@ def scene(parameters: PartParameters) -> PartScene:
         flow=given.flow,
         spacing=given.spacing,
         remarks=REMARKS,
-        parameters=asdict(given),
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
         **{f.name: getattr(course, f.name) for f in fields(_Course)} | {"bores": bores},
     )

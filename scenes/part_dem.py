@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from warpcrete.core.parameters import scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.containers import PipeContainer
 from warpcrete.dem.parts import Course, PartElements, course_of, part_knobs, plug_layers
-from warpcrete.dem.pumped import fill_of, plug_of, settings_of, sizes_of
+from warpcrete.dem.pumped import fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE
 from warpcrete.dem.scene import (
     PipeUnit,
@@ -66,7 +65,6 @@ def scene(parameters: PartElements) -> Scene:
         ),
         stations=_stations(given, course),
         remarks=tuple(_remarks(given, course, sizes)),
-        parameters=asdict(given),
         **settings_of(given),
     )
 
@@ -109,6 +107,7 @@ def _stations(given: PartElements, course: Course) -> Stations:
 def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
     """What is simplified or outside what is pumped."""
     narrow = course.narrowest
+    yield from law_remarks(given)
     if given.shapes == "spheres":
         yield "aggregates are single spheres; --shapes reference uses the paper's clumps"
     if sizes.largest > WIDEST_STONE * narrow:

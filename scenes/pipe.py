@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import fields
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from warpcrete.core.units import number
 from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import PipeContainer
-from warpcrete.dem.pumped import Plug, fill_of, plug_of, settings_of, sizes_of
+from warpcrete.dem.pumped import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     PipeUnit,
@@ -103,7 +103,6 @@ def scene(parameters: PipeParameters) -> Scene:
         stations=_stations(given, axis) if bore is None else None,
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
-        parameters=asdict(given),
         **settings_of(given),
         **asked_of(given),
     )
@@ -248,7 +247,9 @@ def _rest(given: PipeParameters) -> Rest | None:
 
 def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
     """What is simplified, left unused or outside what is pumped."""
-    if given.concrete in shipped() and concrete(given.concrete).calibrated:
+    yield from law_remarks(given)
+    own = given.contact is None and given.wall_contact is None
+    if own and given.concrete in shipped() and concrete(given.concrete).calibrated:
         yield f"concrete {given.concrete}: calibrated {concrete(given.concrete).calibrated}"
     if given.shapes == "spheres":
         yield (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.knobs import Knob, Trading
@@ -77,7 +77,6 @@ def scene(parameters: SlumpParameters) -> FreeScene:
         plate_slips=given.plate == "slips",
         published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
         remarks=("the mould's friction is left out: it opens from below as it is lifted",) if gate else (),
-        parameters=asdict(given),
         **given.settings(),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.errors import refuse
@@ -72,7 +72,6 @@ def lifted_cone(
             dimensions={"top_diameter": given.top_diameter, "mould_height": given.mould_height, **dimensions},
         ),
         remarks=vessel_remarks(given, what),
-        parameters=asdict(given),
         **given.settings(),
     )
 

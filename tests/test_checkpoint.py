@@ -12,7 +12,7 @@ from pumping import SMALL, command, small_options
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
-from warpcrete.core.provenance import fingerprint
+from warpcrete.core.fingerprints import fingerprint
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem import clumps
 from warpcrete.dem.laws import Contact

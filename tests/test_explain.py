@@ -11,8 +11,8 @@ from pumping import command
 import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.fingerprints import fingerprint
 from warpcrete.core.footprint import footprint
-from warpcrete.core.provenance import fingerprint
 from warpcrete.dem.containers import MeshContainer, PipeContainer
 from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack

@@ -17,7 +17,7 @@ import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.errors import RunFolderError, SceneError
-from warpcrete.core.provenance import fingerprint
+from warpcrete.core.fingerprints import fingerprint
 from warpcrete.core.run_loop import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show

@@ -23,7 +23,7 @@ from warpcrete.dem.probes import body_sums, contact_sums
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import Stepper
-from warpcrete.dem.vessels import gripped, sheared
+from warpcrete.dem.vessels import sheared
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall
 
@@ -311,7 +311,7 @@ def test_bars_hold_back_grains_that_are_wider_than_their_gaps(device):
 
 @pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem"])
 def test_a_scene_is_made_again_from_its_parameters(name):
-    from warpcrete.core.provenance import fingerprint
+    from warpcrete.core.fingerprints import fingerprint
 
     make = scenes.modules()[name].scene
     for law in ("linear", "bonds", "mortar", "rolling"):
@@ -335,7 +335,7 @@ def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
     """A funnel that does not hold its mortar empties in the same two seconds whatever the viscosity."""
     made = scenes.modules()[name].scene(**given)
     wall = made.contacts["aggregate", "mould"]
-    assert wall == gripped(made.contact, grip)
+    assert wall == made.contact.gripped(grip)
     if given["law"] == "mortar":
         assert wall.yield_stress == grip * made.contact.yield_stress
     assert any("slides" in remark for remark in made.remarks) == (grip == 0)

@@ -133,8 +133,8 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
         job.resume(resume, _scenes(), live=settings["live"], quiet=settings["quiet"])
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
-    return options.GroupedCommand(
-        name, params=own + options.run_options(), callback=callback, help=inspect.getdoc(module.scene)
+    return options.SceneCommand(
+        name, module.scene, params=own + options.run_options(), callback=callback, help=module.scene.description
     )
 
 
@@ -147,7 +147,7 @@ def _repeat_command(path: Path) -> click.Command:
             raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
         if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
             raise click.UsageError("--accuracy, --trade: mean nothing beside a scene.json, which says all settings")
-        record, module = job.saved_scene(path, _scenes())
+        record, module = job.repeatable_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
         if "threads" in record.get("command", {}):
             kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
@@ -424,7 +424,7 @@ def explain_command(arguments: tuple[str, ...]) -> None:
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
     try:
-        cli(standalone_mode=False)
+        cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
         raise SystemExit(request.exit_code) from None
     except click.exceptions.NoArgsIsHelpError as error:

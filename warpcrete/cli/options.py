@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING
+from dataclasses import MISSING, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..core.parameters import Alias, Field, OneOf
+from ..core.parameters import Alias, Field, OneOf, Spread
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 
@@ -33,6 +33,35 @@ class GroupedCommand(click.Command):
         for title, records in sections.items():
             with formatter.section(title.rstrip(".")):
                 formatter.write_dl(records)
+
+
+class SceneCommand(GroupedCommand):
+    """Command of a scene, of which some options bring others: `--contact LAW` those of the law."""
+
+    def __init__(self, name: str, scene: Any, **settings: Any) -> None:
+        super().__init__(name, **settings)
+        self._scene, self._own = scene, list(self.params)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        known = self._scene.fields({})
+        words = {name: word for name, field in known.items() if any(field.of_kind(Spread))
+                 and (word := _value_of(flag(name), args)) is not None}  # fmt: skip
+        more = [replace(field, help=f"{field.help}  [required]") if field.default is MISSING else field
+                for name, field in self._scene.fields(words).items() if name not in known]  # fmt: skip
+        own = [option for option in self._own if isinstance(option, ParameterOption)]
+        rest = [option for option in self._own if not isinstance(option, ParameterOption)]
+        self.params = [*own, *parameter_options(more), *rest]
+        return super().parse_args(ctx, args)
+
+
+def _value_of(option: str, words: list[str]) -> str | None:
+    """Return the value that an option has among the words of a command."""
+    for place, word in enumerate(words):
+        if word == option and place + 1 < len(words):
+            return words[place + 1]
+        if word.startswith(f"{option}="):
+            return word.partition("=")[2]
+    return None
 
 
 def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
@@ -60,6 +89,8 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
 
 
 def _kind(field: Field) -> Any:
+    if any(field.of_kind(Spread)):
+        return str
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
     return click.Choice(list(choices)) if choices and field.kind is str else field.kind
 

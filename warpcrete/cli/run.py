@@ -19,7 +19,7 @@ from ..core.run_loop import Run
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
-from ..record.loading import saved_scene
+from ..record.loading import repeatable_scene
 from ..record.recorders import RECORDERS, Look, recorders_of
 from ..studies.pipeline import check_pipeline, pipeline_estimate
 
@@ -35,7 +35,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
     """Go on with an interrupted run, in its folder; `live` shows it from here on."""
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
-    record, module = saved_scene(folder / "scene.json", modules)
+    record, module = repeatable_scene(folder / "scene.json", modules)
     if not (folder / "checkpoint.npz").is_file():
         result = folder / "result.json"
         if result.is_file() and read_json(result).get("finished"):

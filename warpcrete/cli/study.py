@@ -11,7 +11,7 @@ import click
 from ..core.device import PRECISIONS
 from ..core.errors import RunFolderError
 from ..core.files import next_folder, read_json
-from ..core.parameters import Alias, Field, declared_fields
+from ..core.parameters import Alias, Field, Spread
 from ..core.progress import ProgressBar
 from ..record.recorders import RECORDERS
 from ..studies.study import Study, resume_study, run_study
@@ -87,6 +87,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         click.echo(f"go on with: warpcrete study --resume {study.folder}")
         raise SystemExit(INTERRUPTED)
     if study.failures:
+        if study.lost:
+            click.echo(f"run {', '.join(study.lost)} again with: warpcrete study --resume {study.folder}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
         names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())
@@ -101,8 +103,7 @@ def report(study: Study) -> None:
         click.echo(study.markdown())
     for name, message in study.failures.items():
         click.echo(f"failed: {name}: {message}")
-    done = len(study.results) + len(study.failures)
-    click.echo(f"\n{done} of {len(study.cases)} cases done; study folder: {study.folder}")
+    click.echo(f"\n{study.progress}; study folder: {study.folder}")
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,16 +173,18 @@ def _begun(
     )
 
 
-def _fields(module: Any) -> dict[str, Field]:
-    """Parameters of a scene by each name that they have."""
+def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
+    """Parameters of a scene by each name that they have, those of contact laws among the options included."""
     found: dict[str, Field] = {}
-    for name, field in declared_fields(module.scene.parameters).items():
+    for name, field in module.scene.fields({}).items():
         found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)
+        for word in options.get(name.replace("_", "-"), []) if any(field.of_kind(Spread)) else []:
+            found = module.scene.fields({name: word}) | found
     return found
 
 
 def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, list[Any]]:
-    known = _fields(module)
+    known = _fields(module, options)
     found: dict[str, list[Any]] = {}
     for option, words in options.items():
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
@@ -207,7 +210,7 @@ def converted(name: str, word: str, kind: Any) -> Any:
             raise click.UsageError(f"--{name} {word!r}: must be true or false")
         return word.lower() in ("true", "yes", "1")
     try:
-        return kind(word)
+        return kind(word) if kind in (int, float, Path) else word
     except ValueError:
         words = {float: "a number", int: "a whole number"}.get(kind, kind.__name__)
         raise click.UsageError(f"--{name} {word!r}: must be {words}") from None

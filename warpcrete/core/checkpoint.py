@@ -14,7 +14,8 @@ import numpy as np
 
 from .errors import RunFolderError
 from .files import partial_of, whole_file
-from .provenance import fingerprint, processor, versions
+from .fingerprints import fingerprint
+from .provenance import processor, versions
 
 FORMAT = 6
 

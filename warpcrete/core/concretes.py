@@ -24,6 +24,7 @@ from typing import Any
 import yaml
 
 from .errors import refuse
+from .origin import note_file
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
@@ -71,6 +72,7 @@ class NamedConcrete:
 def read_yaml(path: Path, name: str) -> Mapping[str, Any]:
     """The mapping that a file holds; `name` is the field that named it. Raises :class:`SceneError` without one."""
     try:
+        note_file(path)
         found = yaml.load(path.read_text(encoding="utf-8"), Numbers)
     except OSError as error:
         refuse(name, str(path), f"cannot be read ({error.strerror})", "give the path of a file that can")

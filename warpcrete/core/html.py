@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from .origin import changed_fields
+
 
 def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
     """Cells as a table of HTML."""
@@ -25,4 +27,6 @@ class Parametrised:
     def _repr_html_(self) -> str:
         """Parameters that have a value, as a table."""
         rows = [(name, value) for name, value in self.parameters.items() if value is not None and value != ""]
+        if rows and (changed := changed_fields(self)):
+            rows.append(("changed since", ", ".join(changed)))
         return html_table(rows, caption=repr(self))

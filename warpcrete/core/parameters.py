@@ -13,8 +13,9 @@ import inspect
 import math
 import re
 import sys
+import textwrap
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -22,6 +23,7 @@ from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, 
 import numpy as np
 
 from .errors import SceneError, refuse
+from .origin import Arguments, files_read
 
 WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
 
@@ -93,6 +95,22 @@ class Alias:
 
     name: str
     convert: Callable[[Any], Any] | None = None
+
+
+class Spread:
+    """Rule of a parameter whose value has parameters of its own, named after it; see :mod:`warpcrete.core.by_name`."""
+
+    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+        """Return the parameters that belong to a value of `field`."""
+        raise NotImplementedError
+
+    def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters with the value of `field` made of all that belong to it."""
+        raise NotImplementedError
+
+    def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+        """Return plain values from which `assembled` makes a value of `field`, and whether it makes the same."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -196,12 +214,28 @@ class Declared:
                            f"leave it out, or change {rule.field}")  # fmt: skip
 
 
+def _listed(fields: Iterable[Field]) -> str:
+    """Return parameters as help() shows them: by group, each with its type, default, help text and unit."""
+    lines: list[str] = []
+    group = ""
+    for field in fields:
+        if field.group != group:
+            group = field.group
+            lines += ["", group.rstrip(".")]
+        kind = WORDS.get(field.kind, field.kind.__name__)
+        default = "required" if field.default is dataclasses.MISSING else f"default {field.default!r}"
+        lines += [f"    {field.name}: {kind}, {default}", *textwrap.wrap(field.help, 100, initial_indent=8 * " ",
+                                                                         subsequent_indent=8 * " ")]  # fmt: skip
+    return "\n".join(["Parameters, all by name:", *lines])
+
+
 class SceneFunction(Generic[P, S]):
     """A function of keywords, which are the fields of `parameters`; see :func:`scene_function`."""
 
     def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
-        self.__doc__ = build.__doc__
+        self.description = inspect.getdoc(build) or ""
+        self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
         self.__name__ = getattr(build, "__name__", "scene")
         kind = inspect.Parameter.KEYWORD_ONLY
         self.__signature__ = inspect.Signature(
@@ -210,6 +244,9 @@ class SceneFunction(Generic[P, S]):
                 for f in declared_fields(parameters).values()
             ]
         )
+
+    def __repr__(self) -> str:
+        return f"<scene function {self.name}>"
 
     @property
     def module(self) -> types.ModuleType:
@@ -220,7 +257,7 @@ class SceneFunction(Generic[P, S]):
         known = declared_fields(self.parameters)
         if args:
             refuse("parameters", args, "must be given by name", f"known are {', '.join(known)}")
-        values = self.completed(given)
+        values = self.assembled(self.completed(given))
         for name in values:
             if name not in known:
                 refuse("parameters", sorted(given), f"got an unexpected keyword argument {name!r}",
@@ -228,7 +265,11 @@ class SceneFunction(Generic[P, S]):
         try:
             parameters = self.parameters(**values)
             parameters.check_needed()
-            return self._build(parameters)
+            with files_read() as files:
+                scene = self._build(parameters)
+                values, lost = self._written(parameters)
+            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
+            return scene
         except OverflowError as error:
             numbers = {name: value for name, value in values.items() if isinstance(value, (int, float)) and value}
             if not numbers:
@@ -238,9 +279,54 @@ class SceneFunction(Generic[P, S]):
             text = repr(value) if isinstance(value, float) else f"a number of {value.bit_length()} bits"
             raise SceneError(f"{name} = {text}: is beyond what can be computed with; use SI units") from error
 
+    @property
+    def name(self) -> str:
+        """Name of the scene, as the command has it."""
+        return self._build.__module__.rpartition(".")[2].replace("_", "-")
+
+    def _written(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Return parameters as plain values, and the names of those whose values these do not make again."""
+        values: dict[str, Any] = {}
+        lost = []
+        for name, field in declared_fields(self.parameters).items():
+            values[name] = getattr(parameters, name)
+            for rule in field.of_kind(Spread):
+                plain, same = rule.written(field, values[name])
+                values |= plain
+                lost += [] if same else [name]
+        return values, tuple(lost)
+
+    def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
+        """Return the declared fields, and those that belong to the values given for some of them."""
+        known = dict(declared_fields(self.parameters))
+        for name, field in list(known.items()):
+            for rule in field.of_kind(Spread):
+                known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
+        return known
+
+    def assembled(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters with those that belong to the value of another one inside that value."""
+        found = dict(values)
+        for field in declared_fields(self.parameters).values():
+            for rule in field.of_kind(Spread):
+                found = rule.assembled(field, found)
+                for name in found:
+                    if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
+                        value = values.get(field.name)
+                        own = ", ".join(rule.fields(field, value))
+                        refuse(name, found[name], f"means nothing beside {field.name} = {value!r}",
+                               f"which has {own}" if own else f"leave it out, or change {field.name}")  # fmt: skip
+        return found
+
+    def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments of a scene that was made of those `given`, without all that are left to defaults."""
+        names = self.completed(given)
+        declared = declared_fields(self.parameters)
+        return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
+
     def declared(self, given: Mapping[str, Any]) -> Any:
         """The dataclass of the parameters: those that are given, what they imply, defaults."""
-        return self.parameters(**self.completed(given))
+        return self.parameters(**self.assembled(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters by their own names, with those that they imply (as a concrete by its name does), as far as these
@@ -262,10 +348,16 @@ class SceneFunction(Generic[P, S]):
     def _meant(self, values: dict[str, Any]) -> dict[str, Any]:
         """Of values by their own names those that mean something beside each other."""
         known = declared_fields(self.parameters)
+        spread = {name: field for name, field in known.items() if any(field.of_kind(Spread))}
 
         def meant(name: str) -> bool:
+            if name not in known and any(name.startswith(f"{each}_") for each in spread):
+                return name in self.fields({each: values[each] for each in spread if each in values})
             rules = known[name].of_kind(Needs) if name in known else iter(())
-            return all(rule.test(known[rule.field].converted(held(rule.field), rule.field)) for rule in rules)
+            return all(rule.test(converted(rule.field)) for rule in rules)
+
+        def converted(name: str) -> Any:
+            return held(name) if name in spread else known[name].converted(held(name), name)
 
         def held(name: str) -> Any:
             return values.get(name, known[name].default)

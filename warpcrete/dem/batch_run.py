@@ -11,8 +11,8 @@ import warp as wp
 
 from ..core.device import MEMORY_FRACTION, memory_free, parallel
 from ..core.errors import WarpcreteError
+from ..core.fingerprints import fingerprint
 from ..core.launching import telling
-from ..core.provenance import fingerprint
 from ..core.run_loop import Coroutine, Run
 from .batch import batch_key
 from .bodies import BodyTable, placed_bodies

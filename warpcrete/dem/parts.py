@@ -20,6 +20,7 @@ from ..geometry.bores import FACETS, Bores
 from ..geometry.lines import Part, PipeLine, read_line
 from ..geometry.mesh_parts import FIT, WAYS, Insert, bore_of
 from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line, said_by_mesh
+from .laws import LawChoice, WallLawChoice
 from .pumping import (
     COARSENINGS,
     UPRIGHT,
@@ -86,8 +87,8 @@ class PushParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PartElements(
-    OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, ContactParameters,
-    BondParameters, PlugParameters, RunParameters,
+    OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
+    ContactParameters, BondParameters, PlugParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, a part of a line, and what pushes it."""
 
@@ -254,6 +255,7 @@ def part_knobs(given: PartElements) -> Iterator[Knob]:
         yield Knob(
             "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
         )
-    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if given.contact is None:
+        yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
     if given.settle > 0:
         yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")

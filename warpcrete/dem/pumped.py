@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,13 +16,18 @@ from ..geometry.walls import Driven, PlaneWall
 from .clumps import templates
 from .containers import Fill, PipeContainer
 from .laws import Contact, ContactLaw, LubricationLayer
-from .pumping import AggregateParameters, BondParameters, ContactParameters
+from .pumping import AggregateParameters, BondParameters, stiffness_of
 from .scene import AxisDrive, Bodies, Bonds, Hydration, Settle, TimeStep, Watch
 from .sizes import Gaussian, SieveCurve, Sizes, Uniform
 
 
-def contact_of(given: ContactParameters) -> Contact:
+def contact_of(given: Any) -> ContactLaw:
     """Law of the contacts."""
+    return given.contact if given.contact is not None else linear_of(given)
+
+
+def linear_of(given: Any) -> Contact:
+    """Return the scene's own law."""
     return Contact(
         effective_modulus=given.modulus,
         stiffness_ratio=given.stiffness_ratio,
@@ -33,15 +38,29 @@ def contact_of(given: ContactParameters) -> Contact:
     )
 
 
-def wall_contact_of(given: ContactParameters) -> dict[tuple[str, str], ContactLaw]:
+def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
     """Contact with pipe and piston, where it differs."""
-    contact = contact_of(given)
+    if given.wall_contact is not None:
+        return {("aggregate", "wall"): given.wall_contact}
+    if given.contact is not None:
+        return {}
+    contact = linear_of(given)
     if given.wall_friction is not None:
         contact = replace(contact, friction=given.wall_friction)
     if given.layer_yield or given.layer_viscosity:
         layer = LubricationLayer(contact=contact, yield_stress=given.layer_yield, viscosity=given.layer_viscosity)
         return {("aggregate", "wall"): layer}
     return {("aggregate", "wall"): contact} if given.wall_friction is not None else {}
+
+
+def law_remarks(given: Any) -> Iterator[str]:
+    """Say what another contact law leaves out."""
+    law, wall = given.contact, given.wall_contact
+    if law is not None:
+        where = "between aggregates" if wall is not None else "between aggregates and on the wall, which has no layer"
+        yield f"contact {type(law).__name__} acts {where}; what concrete {given.concrete} says of contacts is left out"
+    elif wall is not None:
+        yield f"wall_contact {type(wall).__name__} takes the place of what concrete {given.concrete} says of the wall"
 
 
 def bonds_of(given: BondParameters) -> Bonds | None:
@@ -137,7 +156,7 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
         # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.
         bonds = Bonds(
-            effective_modulus=2 * given.modulus, tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
+            effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
         )
         return Plug((bodies,), (drive,), {"plug": bonds})
     if given.plug == "plate":
@@ -185,7 +204,7 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
         bulk_density=given.bulk_density,
         solid_fraction=given.solid_fraction,
         # Below that a packing has no pressure to speak of.
-        pressure=max(given.plug_pressure, 2e-3 * given.modulus) if given.solid_fraction is None else None,
+        pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
     )
 
 

@@ -15,6 +15,7 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, Alias, Declared, FileIf, Needs, OneOf, Within, declared_fields
 from ..geometry.walls import Stops
 from .concretes import elements_of
+from .laws import OWN_LAW, OWN_WALL_LAW, LawChoice, LubricationLayer, WallLawChoice
 from .laws.linear import DASHPOTS
 from .scene import MUCH_STIFFER, Blockage, Wear
 
@@ -142,15 +143,18 @@ class AggregateParameters:
 class ContactParameters:
     """Contacts."""
 
-    modulus: Annotated[float, "effective, of contacts [Pa]", Above()] = 1e5
-    stiffness_ratio: Annotated[float, "normal over shear contact stiffness", Above()] = 2.0
-    friction: Annotated[float, "coefficient between aggregates", Within(0)] = 0.05
-    wall_friction: Annotated[float | None, "on the pipe and the piston; default: as friction", Within(0)] = None
-    layer_yield: Annotated[float, "yield stress of a lubrication layer on pipe and piston [Pa]", Within(0)] = 0.0
-    layer_viscosity: Annotated[float, "of that layer, over its thickness [Pa s/m]", Within(0)] = 0.0
-    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0)] = 0.5
-    shear_damping: Annotated[float, "shear dashpot, over the critical one", Within(0)] = 0.0
-    dashpot: Annotated[str, "mode: full, no-tension, slip-cut, both", OneOf(DASHPOTS)] = "full"
+    modulus: Annotated[float, "effective, of contacts [Pa]", Above(), OWN_LAW] = 1e5
+    stiffness_ratio: Annotated[float, "normal over shear contact stiffness", Above(), OWN_LAW] = 2.0
+    friction: Annotated[float, "coefficient between aggregates", Within(0), OWN_LAW] = 0.05
+    wall_friction: Annotated[float | None, "on the pipe and the piston; default: as friction", Within(0), OWN_LAW,
+                             OWN_WALL_LAW] = None  # fmt: skip
+    layer_yield: Annotated[float, "yield stress of a lubrication layer on pipe and piston [Pa]", Within(0), OWN_LAW,
+                           OWN_WALL_LAW] = 0.0  # fmt: skip
+    layer_viscosity: Annotated[float, "of that layer, over its thickness [Pa s/m]", Within(0), OWN_LAW,
+                               OWN_WALL_LAW] = 0.0  # fmt: skip
+    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0), OWN_LAW] = 0.5
+    shear_damping: Annotated[float, "shear dashpot, over the critical one", Within(0), OWN_LAW] = 0.0
+    dashpot: Annotated[str, "mode: full, no-tension, slip-cut, both", OneOf(DASHPOTS), OWN_LAW] = "full"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +257,7 @@ class OfConcrete:
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
     OfConcrete, UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters,
-    ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
+    LawChoice, WallLawChoice, ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
     """Concrete, one pipe unit, and what pumps it."""
 
@@ -284,7 +288,10 @@ class PipeParameters(
                    "longer strokes, or a shorter ramp")  # fmt: skip
         if self.rest > 0 and self.pause == 0:
             refuse("rest", self.rest, "needs a stop before the last stroke", "a pause above 0")
-        if self.rest > 0 and not (self.bonds or self.layer_yield or self.layer_viscosity):
+        layer = (
+            self.layer_yield or self.layer_viscosity or isinstance(self.wall_contact or self.contact, LubricationLayer)
+        )
+        if self.rest > 0 and not (self.bonds or layer):
             refuse("rest", self.rest, "has nothing to grow: there are no bonds, and no layer on the wall",
                    "bonds, or a layer_yield")  # fmt: skip
 
@@ -361,6 +368,11 @@ class PipeParameters(
         return max(2, math.ceil(UPRIGHT * self.diameter / self.plug_ball - 1e-9)) if self.is_bend else 2
 
 
+def stiffness_of(given: Any) -> float:
+    """Return the stress that a deep contact carries [Pa]: the modulus, or what another law says."""
+    return given.modulus if given.contact is None else given.contact.stress_scale
+
+
 def asked_of(given: IndexParameters) -> dict[str, Any]:
     """Fields of a :class:`Scene` for the indices that are asked for."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
@@ -403,11 +415,12 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
     if given.wall in ("analytic", "mesh"):
         faceted = [Level(f"{n} facets", {"wall": "mesh", "facets": n}, 1.3) for n in sorted({*FACETS, given.facets})]
         yield Knob("wall", (*faceted, Level("analytic", {"wall": "analytic"})))
-    yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if given.contact is None:
+        yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
     if given.bonds and given.hydration > 0:
         yield scaled("hydrated stiffness", "hydration_modulus", given.hydration_modulus, (0.01, 0.1, 1.0), 0.5, "Pa",
                      True)  # fmt: skip
-        much_stiffer = given.hydration_modulus >= MUCH_STIFFER * max(given.modulus, given.bond_modulus)
+        much_stiffer = given.hydration_modulus >= MUCH_STIFFER * max(stiffness_of(given), given.bond_modulus)
         if given.hydration_rounds is None and given.time_step is None and much_stiffer:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -17,7 +17,8 @@ from ..core.run_loop import Run
 from ..geometry.prisms import Solid
 from .clumps import templates
 from .containers import Fill, MeshContainer
-from .laws import BinghamMortar, Contact, ContactLaw, PlasticMortar, RollingResistance
+from .laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
+from .laws.base import RESISTANCES
 from .scene import Bonds, Settle, TimeStep, Watch
 from .sizes import Gaussian, Sizes, Uniform
 
@@ -67,16 +68,18 @@ class LawParameters:
         "(soft shells with a yield stress round hard cores), plastic (the same, shells that yield in all directions), "
         "rolling (friction, and resistance to rolling)",
         OneOf(LAWS),
+        OWN_LAW,
     ] = "rolling"
     modulus: Annotated[float | None, "effective, of contacts, of mortar the cores' [Pa]; default: 1e6 of laws mortar "
-                       "and plastic, else 1e5", Above()] = None  # fmt: skip
-    stiffness_ratio: Annotated[float, "normal over shear stiffness", Above()] = 2.0
+                       "and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
+    stiffness_ratio: Annotated[float, "normal over shear stiffness", Above(), OWN_LAW] = 2.0
     friction: Annotated[
         float | None,
         "coefficient between grains; default: 0.5 of law rolling, 0 of mortar and plastic, else 0.05",
         Within(0),
+        OWN_LAW,
     ] = None
-    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0)] = 0.5
+    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0), OWN_LAW] = 0.5
     yield_stress: Annotated[
         float, "of the concrete [Pa]; contacts have what adds up to it when all of them slip, see mortar_law",
         Within(0), WITH_MORTAR,
@@ -87,7 +90,7 @@ class LawParameters:
     shell_modulus: Annotated[float, "stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
     shell_tension: Annotated[float, "pull of the shells over the yield stress of theirs", Within(0), WITH_PLASTIC] = 2.5
     rolling_friction: Annotated[float, "moment that a contact bears, over normal force and radius", Within(0),
-                                WITH_ROLLING] = 0.2  # fmt: skip
+                                WITH_ROLLING, OWN_LAW] = 0.2  # fmt: skip
     bond_modulus: Annotated[float, "effective, of bonds [Pa]", Above(), WITH_BONDS] = 2e4
     tensile_strength: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
     cohesion: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
@@ -128,7 +131,7 @@ class VesselRun(Declared):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VesselParameters(GrainParameters, LawParameters, VesselRun):
+class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """What the tests of fresh concrete have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
@@ -139,13 +142,17 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
         super().__post_init__()
         if self.size_max < self.size_min:
             refuse("size_max", self.size_max, f"must be size_min = {self.size_min:g} m or more")
+        for name, default in (("plate_grip", LawParameters.plate_grip), ("mould_grip", None)):
+            if getattr(self, name) != default and self.contact is not None and not self.is_gripped:
+                refuse(name, getattr(self, name), f"means nothing beside contact {type(self.contact).__name__}, which "
+                       f"has no {', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
         if self.holding > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
                    "what the concrete flows on holds it most")  # fmt: skip
 
     @property
     def stiffness(self) -> float:
-        """Modulus of the contacts [Pa]."""
+        """Modulus of the contacts of the scene's own laws [Pa]."""
         return self.modulus if self.modulus is not None else STIFF.get(self.law, 1e5)
 
     @property
@@ -165,8 +172,16 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
             return self.mould_grip
         return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
 
-    def contact(self) -> ContactLaw:
+    @property
+    def is_gripped(self) -> bool:
+        """Whether the law resists sliding or rolling by fields that a grip multiplies."""
+        law = self.grain_law()
+        return law.gripped(0.5) != law
+
+    def grain_law(self) -> ContactLaw:
         """Law between grains."""
+        if self.contact is not None:
+            return self.contact
         linear = Contact(
             effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.rubbing,
             normal_damping_ratio=self.normal_damping,
@@ -177,10 +192,10 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
             return mortar_law(self) if self.law == "mortar" else plastic_law(self)
         return linear
 
-    def contacts(self) -> dict[tuple[str, str], ContactLaw]:
+    def wall_laws(self) -> dict[tuple[str, str], ContactLaw]:
         """Laws with the materials `plate` and `mould`."""
         grips = {"plate": self.plate_grip, "mould": self.holding}
-        return {("aggregate", name): gripped(self.contact(), grip) for name, grip in grips.items()}
+        return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
         """Bonds between grains."""
@@ -213,8 +228,8 @@ class VesselParameters(GrainParameters, LawParameters, VesselRun):
         """Arguments of a scene that say how it is computed, and what carries the concrete."""
         return {
             "duration": self.duration,
-            "contact": self.contact(),
-            "contacts": self.contacts(),
+            "contact": self.grain_law(),
+            "contacts": self.wall_laws(),
             "bonds": self.bonds(),
             "gravity": (0.0, 0.0, -self.gravity),
             "settle": Settle(duration=self.settle) if self.settle > 0 else None,
@@ -266,10 +281,6 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     )
 
 
-ROLLS_NOT = 4 / math.sqrt(3) / math.pi
-"""Moment of a disc of mortar on the plate over tau A r, as :class:`BinghamMortar` has it everywhere."""
-
-
 def plastic_law(given: VesselParameters) -> PlasticMortar:
     """The same of :class:`PlasticMortar`, whose contacts lose their yield stress times |D n|, of which the mean is pi/8
     in a simple shear of rate 1, and viscosity over the shell times its square, 1/6.
@@ -291,23 +302,6 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     )
 
 
-def gripped(law: ContactLaw, grip: float) -> ContactLaw:
-    """A law whose resistance to sliding and rolling is `grip` times as much."""
-    if isinstance(law, PlasticMortar):
-        law = replace(law, bending=ROLLS_NOT)  # a lone sphere would roll away
-    if isinstance(law, BinghamMortar):
-        return replace(
-            law, friction=grip * law.friction, yield_stress=grip * law.yield_stress,
-            plastic_viscosity=grip * law.plastic_viscosity,
-        )  # fmt: skip
-    if isinstance(law, RollingResistance):
-        contact = gripped(law.contact, grip)
-        assert isinstance(contact, Contact)
-        return replace(law, contact=contact, rolling_friction=grip * law.rolling_friction)
-    assert isinstance(law, Contact)
-    return replace(law, friction=grip * law.friction)
-
-
 COARSER = (2.0, 1.5, 1.25, 1.0)
 
 
@@ -324,6 +318,8 @@ def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
     ]
     if len(levels) > 1:
         yield Knob("coarse-graining", tuple(levels), True)
+    if given.contact is not None:
+        return
     stiffness = [
         Level(f"{f * given.stiffness:.4g} Pa", {"modulus": f * given.stiffness}, f**0.5, f"x {f:g}")
         for f in (0.25, 0.5)
@@ -359,7 +355,9 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
         )
     if given.law == "plastic":
         found.append("law plastic: spreads between the closed forms at 200 to 2000 Pa; softer heaps stop early")
-    if given.holding == 0:
+    if given.contact is not None and not given.is_gripped:
+        found.append(f"plate and mould act on grains as grains do: {type(given.contact).__name__} has no friction")
+    elif given.holding == 0:
         found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
     if given.bulk_density is None:
         found.append(

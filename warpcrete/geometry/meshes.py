@@ -12,6 +12,7 @@ import warp as wp
 from ..core.device import quiet_init
 from ..core.errors import refuse
 from ..core.launching import launch
+from ..core.origin import note_file
 from ..kernels.common.mesh_queries import distances, nearest_faces, ray_distances, signed_distances
 from .axis import Axis
 from .cleaning import clean
@@ -40,6 +41,7 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
         if not path.is_file():
             refuse(field, str(source), "is no file", "give the path of an STL, OBJ, PLY ... file")
         try:
+            note_file(path)
             mesh = trimesh.load_mesh(path)
             if isinstance(mesh, trimesh.Scene):
                 mesh = mesh.to_mesh()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -167,7 +167,6 @@ def column_scene(
         spacing=given.spacing,
         aggregates=given.coarse(concrete, dimensions),
         published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
-        parameters=asdict(given),
         # The printed scheme balances no forces, which is what it is run to show.
         watch=FlowWatch(force_balance=None) if given.paper_scheme else FlowWatch(),
         **settings,

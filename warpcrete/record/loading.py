@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +13,7 @@ import numpy as np
 
 from ..core.errors import RunFolderError, SceneError
 from ..core.files import read_json
-from ..core.parameters import declared_fields
+from ..core.origin import changed_files, check_files
 from ..core.run import Run, Table
 from ..scenes import modules
 
@@ -23,8 +25,9 @@ def load(folder: Path | str) -> Run:
     """The run in a folder, as far as it got: scene, series, quantities.
 
     What only a simulation holds, as bodies at the end, is not there. A run that was killed has no result, and one
-    without rows no series; of a scene that can no more be made, as its mesh file has gone, only name and parameters are
-    there. Raises :class:`RunFolderError` for anything that is no run folder of this version.
+    without rows no series; of a scene that can no more be made, as its mesh file has gone or changed, or that was
+    changed or built in Python, only name and parameters are there. Raises :class:`RunFolderError` for anything that is
+    no run folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
@@ -36,11 +39,15 @@ def load(folder: Path | str) -> Run:
             f"'{folder}': " + ("is no folder" if not folder.is_dir() else "is no run folder (it holds no scene.json)")
             + (f"; runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
-    record, module = saved_scene(folder / "scene.json", modules())
-    try:
-        scene = module.scene(**record["parameters"])
-    except SceneError:
-        scene = SimpleNamespace(name=record["scene"], parameters=record["parameters"])
+    record = read_json(folder / "scene.json")
+    scene: Any = SimpleNamespace(name=record.get("scene"), parameters=record.get("parameters"))
+    if "modified" in record:
+        scene.modified = record["modified"]
+    else:
+        with suppress(SceneError):
+            record, module = saved_scene(folder / "scene.json", modules())
+            made = module.scene(**record["parameters"])
+            scene = scene if changed_files(record.get("files", {})) else made
     path = folder / "result.json"
     result = read_json(path) if path.is_file() else {}
     series, units = _series(folder / "series.csv")
@@ -54,10 +61,34 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
     module = known[record["scene"]]
-    unknown = sorted(set(module.scene.resolved(record["parameters"])) - set(declared_fields(module.scene.parameters)))
+    parameters = module.scene.resolved(record["parameters"])
+    unknown = sorted(set(parameters) - set(module.scene.fields(parameters)))
     if unknown:
         raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
     return record, module
+
+
+def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    """Return what :func:`saved_scene` does, for a run that is to be repeated or to go on.
+
+    Raises :class:`RunFolderError` for the record of a scene that was changed after its function had made it, or built
+    by hand, or that reads files that have changed since.
+    """
+    _check_unchanged(path, read_json(path))
+    record, module = saved_scene(path, known)
+    check_files(path, record.get("files", {}))
+    return record, module
+
+
+def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
+    changed = record.get("modified")
+    if not changed:
+        return
+    if not record.get("parameters"):
+        raise RunFolderError(f"'{path}': is of a scene that was built in Python, not by a scene function; repeat it, "
+                             "or go on with it, there")  # fmt: skip
+    raise RunFolderError(f"'{path}': is of a scene whose {', '.join(changed)} changed after its function had made it, "
+                         "so that its parameters make another one; repeat it, or go on with it, in Python")  # fmt: skip
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -8,19 +8,26 @@ from typing import Any, TextIO
 
 from ..core.errors import RunFolderError
 from ..core.files import cannot_write, check_new, whole_file, write_json
+from ..core.origin import Arguments, changed_fields, readable
 from ..core.provenance import provenance
 from ..core.run import Table
 from ..core.run_loop import Recorder, Run, Simulation
 
 
 def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
-    """What scene.json holds: the scene function's name and every argument, and how the run was set up."""
+    """Return what scene.json holds: the scene function's name, every argument, and how the run was set up.
+
+    A scene that its function did not make like this, because it was changed afterwards or built by hand, is recorded
+    with the fields in question under `modified`; nothing repeats such a record.
+    """
     scene = simulation.scene
-    if not scene.parameters:
-        raise RunFolderError(f"scene {scene.name!r} has no parameters to save; make it with a scene function")
+    made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
+    changed = changed_fields(scene)
     return {
-        "scene": scene.name,
-        "parameters": dict(scene.parameters),
+        "scene": made.function or scene.name,
+        "parameters": dict(made),
+        **({"modified": {name: readable(getattr(scene, name)) for name in changed}} if changed else {}),
+        "files": dict(made.files),
         "device": str(simulation.device),
         "precision": simulation.precision,
         "command": command or {},

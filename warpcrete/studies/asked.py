@@ -37,4 +37,4 @@ def module_of(scene: Any) -> tuple[str, Any]:
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
         refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
-    return module.__name__.rpartition(".")[2].replace("_", "-"), module
+    return scene.name, module

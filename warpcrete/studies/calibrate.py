@@ -18,6 +18,7 @@ import numpy as np
 from ..core.errors import RunFolderError, WarpcreteError, between, refuse
 from ..core.extras import needs_extra
 from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.origin import check_files, files_read
 from ..record.checks import failed_checks
 from ..scenes import modules
 from .calibration import Calibration, Trial
@@ -74,7 +75,10 @@ def run_calibration(
     fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
-    task, raw = read_task(targets, modules) if isinstance(targets, Path) else (task_of(targets, modules), dict(targets))
+    with files_read() as files:
+        read = isinstance(targets, Path)
+        task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
+    files.pop(str(targets.resolve()) if read else "", None)  # what it says is kept
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch
@@ -88,7 +92,7 @@ def run_calibration(
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
     out.mkdir(parents=True)
-    write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": []})
+    write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": [], "files": files})
     return _go_on(out, modules, processes, scheduler, workers, progress)
 
 
@@ -119,8 +123,9 @@ def _check_trials(most: int) -> None:
 
 def _record(folder: Path) -> dict[str, Any]:
     record = read_json(folder / RECORD)
-    if set(record) != {"targets", "settings", "rounds"}:
+    if set(record) - {"files"} != {"targets", "settings", "rounds"}:
         raise RunFolderError(f"'{folder / RECORD}': holds no calibration")
+    check_files(folder / RECORD, record.get("files", {}))
     return record
 
 
@@ -187,6 +192,11 @@ def run_round(
         study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
         if not study.finished:
             return False
+        if study.lost:
+            raise WarpcreteError(
+                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} runs "
+                f"are lost like this; go on with 'warpcrete calibrate --resume {found.folder}'"
+            )
         _take(study, trials, found.task.groups[group])
     return True
 

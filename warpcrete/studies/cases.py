@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from ..core.errors import refuse
 
 LONGEST_NAME = 120  # of a run folder
+MOST_CASES = 10_000
+"""Cases of one study: each has a folder of its own, and all are in its tables and its figure."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,11 @@ def cases_of(
         refuse("repeat", repeat, "goes by seeds, and the scene has none")
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "goes by seeds, which the study names itself", "leave out one of both")
+    count = repeat * (sum if one_at_a_time and varied else math.prod)(map(len, varied.values()))
+    if count > MOST_CASES:
+        refuse("repeat" if repeat > 1 else next(iter(varied)), repeat if repeat > 1 else f"{count} combinations",
+               f"makes {count:,} cases; a study has {MOST_CASES:,} at most, each of which fills a folder",
+               "vary less, or divide it into several studies")  # fmt: skip
     points = _alone(base, varied, defaults or {}) if one_at_a_time and varied else _combined(varied)
     first = int(base.get("seed", 0))
     cases: list[Case] = []

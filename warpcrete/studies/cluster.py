@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -193,6 +193,23 @@ def open_cluster(
     if scheduler is None:
         yield None
         return
+    with _without_main() if scheduler == "local" else nullcontext():
+        yield from _opened(scheduler, workers, device, threads)
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Hide the caller's script: processes that Dask starts, also in place of lost ones, would run it as they start."""
+    main = vars(sys.modules["__main__"])
+    hidden = {name: main.pop(name) for name in ("__file__", "__spec__") if name in main}
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update(hidden)
+
+
+def _opened(scheduler: str, workers: int | None, device: str | None, threads: int) -> Iterator[Cluster]:
     from dask.distributed import Client
 
     made = None

@@ -14,9 +14,11 @@ from typing import Any
 from ..core.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
 from ..core.files import read_json, write_json
+from ..core.fingerprints import fingerprint
 from ..core.forecast import Forecast
 from ..core.frames import LEAST, SLOWEST
-from ..core.provenance import fingerprint, provenance
+from ..core.origin import arguments_of
+from ..core.provenance import provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
 from ..scenes import modules
@@ -134,9 +136,10 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
 def _knobs_of(scene: Any) -> set[str]:
     """Knobs of a scene that settings may have."""
     module = modules().get(scene.name)
-    if module is None or not scene.parameters:
+    given = arguments_of(scene)
+    if module is None or not given:
         return set()
-    return {k.name for k in module.trading.knobs(module.scene.declared(scene.parameters)) if k.chosen}
+    return {k.name for k in module.trading.knobs(module.scene.declared(given)) if k.chosen}
 
 
 def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
@@ -177,16 +180,17 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
         if record.get("scene") != scene.name:
             refuse("trade", str(trade), f"is of the scene {record.get('scene')!r}, not {scene.name!r}")
         return record, f"'{trade}', {record.get('machine', '')}"
-    if module is None or not scene.parameters:
+    given = dict(arguments_of(scene))
+    if module is None or not given:
         return {}, ""
     try:
-        path = shipped(scene.name, module, dict(scene.parameters), on_gpu)
+        path = shipped(scene.name, module, given, on_gpu)
     except SceneError:
         return {}, ""
     if path is None:
         return {}, ""
     record = read_json(path)
-    apart = outside(record["parameters"], dict(scene.parameters), module)
+    apart = outside(record["parameters"], given, module)
     differs = f", which has other {', '.join(each.split()[0] for each in apart)}" if apart else ""
     return record, f"the shipped trade {path.stem!r} on {record.get('machine', '')}{differs}"
 

@@ -150,7 +150,10 @@ def known_folder(folder: Path, scene: Any, digest: str = "") -> Path | None:
             continue
         record = here / "scene.json"
         if record.is_file() and (here / "result.json").is_file():
-            same = read_json(record).get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
+            there = read_json(record)
+            same = there.get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
+            files = scene.parameters.files
+            same = same and "modified" not in there and there.get("files", files) == files
             if same and read_json(here / "result.json").get("finished"):
                 return here
     return None

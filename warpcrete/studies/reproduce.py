@@ -71,13 +71,15 @@ def resume_reproduction(
         found.results |= read_json(folder / KNOWN)
     studies = zhan_studies(found) if found.paper == "zhan" else xu_studies(found)
     tell = progress or (lambda phase, fraction, figures: None)
+    lost: list[str] = []
     try:
         for place, (group, scene, cases) in enumerate(studies):
             study = _run(found, group, scene, cases, processes, _part(tell, place, len(studies)))
             _take(found, group, study)
             if not study.finished:
                 return found
-        found.finished = True
+            lost += study.lost
+        found.finished = not lost
     finally:
         write(found)
     return found

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import importlib
-import multiprocessing
-import os
 import shutil
-import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 from ..core.device import default_threads
 from ..core.errors import WarpcreteError
 from ..core.files import read_json
-from ..core.interrupts import StopAtSample, leave_to_parent
+from ..core.interrupts import StopAtSample
+from ..core.origin import check_files
 from ..core.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
+from .workers import Crew, WorkerDied
 
 FAILED = "failed.txt"
 """Says in a case's folder what it failed with for good."""
@@ -35,8 +34,11 @@ def simulation_of(
     here, command = folder / case.name, record["command"]
     every = command["checkpoint_every"]
     checkpoint = here / "checkpoint.npz"
+    scene = module.scene(**case.parameters)
+    begun = record.get("files", {})
+    check_files(folder / "study.json", {path: begun[path] for path in scene.parameters.files if path in begun})
     simulation = Simulation(
-        module.scene(**case.parameters),
+        scene,
         device=record["device"],
         precision=record.get("precision"),
         threads=record.get("threads", 1),
@@ -107,16 +109,14 @@ def run_in_processes(
 ) -> None:
     """One case a process at a time, so that after a Ctrl-C nothing begins that has not begun."""
     workers = min(processes or default_threads(), len(pending))
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
     left = list(pending)
     running: dict[Any, Case] = {}
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(stop,)) as pool:
+    with ThreadPoolExecutor(workers) as pool, Crew() as crew:
         while left or running:
             try:
-                while left and len(running) < workers and not stop.is_set():
-                    future = pool.submit(_run_case, record, module.__name__, str(folder), left[0])
-                    running[future] = left.pop(0)
+                while left and len(running) < workers and not crew.stopping:
+                    job = (__name__, "run_case"), (record, module.__name__, str(folder), left[0])
+                    running[pool.submit(crew.run, *job)] = left.pop(0)
                 if not running:
                     break
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -124,40 +124,16 @@ def run_in_processes(
                     case = running.pop(future)
                     try:
                         outcome = future.result()
-                    except Exception as broken:  # a process that was killed, or what nobody foresaw
-                        outcome = WarpcreteError(f"its process failed: {type(broken).__name__}: {broken}")
+                    except WorkerDied as died:
+                        outcome = died
                     book(case, outcome)
             except KeyboardInterrupt:
-                stop.set()  # those that run end at their next sample
-            except BrokenExecutor as broken:
-                for case in left:
-                    book(case, WarpcreteError(f"not run: {broken}"))
-                left.clear()
+                crew.stop()  # those that run end at their next sample
 
 
-_stop_event: Any = None
-
-
-def _begin_worker(stop: Any) -> None:
-    """A worker leaves Ctrl-C to its parent, which tells it through `stop`, and ends when its parent is gone."""
-    global _stop_event
-    _stop_event = stop
-    leave_to_parent()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Wait for the parent's end, whatever it dies of, and end at once: nobody is left to run cases for."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _run_case(record: dict[str, Any], module_name: str, folder: str, case: Case) -> Any:
-    """One case in a process of its own; returns its result.json, or what it failed with."""
-    module = importlib.import_module(module_name)
-    return run_cases(record, module, Path(folder), [case], lambda: _stop_event is not None and _stop_event.is_set())[0]
+def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:
+    """Run one case in a worker process; return its result.json, or what it failed with."""
+    return run_cases(record, importlib.import_module(module_name), Path(folder), [case], asked)[0]
 
 
 def run_cases(

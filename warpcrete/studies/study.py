@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..core.errors import InstabilityError, RunFolderError, SceneError, between,
 from ..core.files import check_new, read_json, whole_file, write_json
 from ..core.html import html_table
 from ..core.method import Quantity
-from ..core.parameters import declared_fields
+from ..core.origin import check_files, check_named
 from ..core.provenance import provenance
 from ..core.run import Run, dataframe
 from ..core.units import number, shown
@@ -59,13 +59,23 @@ class Study:
     """What ended a case, by name."""
 
     def __repr__(self) -> str:
-        done = len(self.results) + len(self.failures)
-        return f"<Study of scene {self.scene!r}: {done} of {len(self.cases)} cases done, folder '{self.folder}'>"
+        return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
+
+    @property
+    def progress(self) -> str:
+        """How many cases are done, and how many failed, in words."""
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"{len(self.results)} of {len(self.cases)} cases done{failed}"
 
     @property
     def finished(self) -> bool:
         """Every case ran to its end, or failed for good."""
         return len(self.results) + len(self.failures) == len(self.cases)
+
+    @property
+    def lost(self) -> list[str]:
+        """Names of the failed cases that are not to blame themselves, as their process died: they run again."""
+        return [name for name in self.failures if not (self.folder / name / FAILED).is_file()]
 
     @property
     def suspect(self) -> dict[str, list[str]]:
@@ -201,9 +211,9 @@ def run_study(
     :class:`SceneError` before anything is written if any case makes no scene.
     """
     check_scheduler(scheduler, workers, processes)
-    known = declared_fields(module.scene.parameters)
     given: dict[str, Any] = module.scene.resolved(base or {})
     varied = _lists(module.scene, varied)
+    known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
     for name in varied:
         if name in given:
             refuse(name, given[name], "is held and varied at once", "leave out one of both")
@@ -247,11 +257,13 @@ def run_listed(
     if frames is not None:
         positive("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
+    files: dict[str, str] = {}
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
         # Paths, for one, are written down as the scene has them, whole, and a concrete's parameters by value.
-        whole = module.scene.completed(case.parameters)
-        cases[place] = replace(case, parameters={name: made.parameters[name] for name in whole})
+        cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
+        check_named(made)
+        files |= made.parameters.files
     check_new(out)
     with open_cluster(scheduler, workers, device) as cluster:
         seed = int(cases[0].parameters.get("seed", 0))
@@ -266,6 +278,7 @@ def run_listed(
             {
                 "scene": scene_name,
                 "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
+                "files": files,
                 "device": found,
                 "precision": precision,
                 "figure": figure,
@@ -290,8 +303,10 @@ def resume_study(
     It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
     """
     check_scheduler(scheduler, workers, processes)
+    record = read_json(folder / "study.json")
+    check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
-    device = unnumbered(read_json(folder / "study.json").get("device"))
+    device = unnumbered(record.get("device"))
     with open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
@@ -341,7 +356,7 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
     method = method_of(module.scene(**cases[0].parameters))
-    units = {name: f.unit.strip() for name, f in declared_fields(module.scene.parameters).items()}
+    units = {name: f.unit.strip() for case in cases for name, f in module.scene.fields(case.parameters).items()}
     return record, Study(folder, record["scene"], cases, method.compared, units)
 
 
@@ -364,6 +379,10 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
     found: dict[str, list[Any]] = {}
     for name, values in varied.items():
         (own,) = scene.resolved({name: None})
+        for value in values:
+            if is_dataclass(value):
+                refuse(name, value, "must be varied by names and numbers",
+                       f"give the name of its class, and vary its parameters, {name}_...")  # fmt: skip
         if own in found:
             refuse(name, values, f"{own} varies already, by this or another name of it", "leave out one")
         found[own] = [scene.resolved({name: value})[own] for value in values]

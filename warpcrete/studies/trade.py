@@ -18,6 +18,7 @@ from typing import Any
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.origin import check_files, check_named
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
 from .asked import module_of
@@ -76,8 +77,9 @@ def run_trade(
     if trading is None:
         refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
     scene = module.scene(**(base or {}))
+    check_named(scene)
     given = module.scene.declared(base or {})
-    parameters = {name: scene.parameters[name] for name in module.scene.completed(base or {})}
+    parameters = module.scene.plain(scene, base or {})
     known = {each.name: each for each in method_of(scene).quantities}
     chosen = list(quantities or trading.quantities)
     for name in chosen:
@@ -109,6 +111,7 @@ def run_trade(
         record = {
             "scene": scene_name,
             "parameters": parameters,
+            "files": scene.parameters.files,
             "quantities": chosen,
             "knobs": list(knobs or all_knobs),
             "repeat": (repeat or 3) if seeded else 1,
@@ -169,6 +172,7 @@ def resume_trade(
     if version != now:
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
     positive("budget", budget, "s")
+    check_files(folder / "trade.json", record.get("files", {}))
     if scheduler is None:
         find_device(trade.device)
     # Of GPUs all that there are, as with a study.

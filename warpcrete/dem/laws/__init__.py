@@ -4,6 +4,7 @@ Another law is another such file, anywhere: a class like those here, given to a 
 """
 
 from .base import ContactLaw, damping_ratio
+from .choice import OWN_LAW, OWN_WALL_LAW, LawChoice, WallLawChoice
 from .hertz_mindlin import HertzMindlin
 from .linear import Contact
 from .lubrication import LubricationLayer
@@ -12,12 +13,16 @@ from .plastic import PlasticMortar
 from .rolling import RollingResistance
 
 __all__ = [
+    "OWN_LAW",
+    "OWN_WALL_LAW",
     "BinghamMortar",
     "Contact",
     "ContactLaw",
     "HertzMindlin",
+    "LawChoice",
     "LubricationLayer",
     "PlasticMortar",
     "RollingResistance",
+    "WallLawChoice",
     "damping_ratio",
 ]

@@ -4,7 +4,7 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -12,6 +12,9 @@ import warp as wp
 
 from ...core.errors import between
 from ...core.parameters import Declared, Field, OneOf, declared_fields
+
+RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
+"""Names of the fields by which laws resist sliding and rolling."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,20 @@ class ContactLaw(Declared, ABC):
     @abstractmethod
     def frictionless(self) -> "ContactLaw":
         """The law for packing: without friction, and damped."""
+
+    def gripped(self, grip: float) -> "ContactLaw":
+        """Return the law for a wall that resists sliding and rolling `grip` times as much as the bodies do.
+
+        Fields named as in RESISTANCES are multiplied, those of laws inside this one as well.
+        """
+        changes: dict[str, Any] = {}
+        for name in declared_fields(type(self)):
+            value = getattr(self, name)
+            if isinstance(value, ContactLaw):
+                changes[name] = value.gripped(grip)
+            elif name in RESISTANCES:
+                changes[name] = grip * value
+        return replace(self, **changes)
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:

@@ -9,7 +9,8 @@ three, Trouton's ratio. Shells also pull, with a constant force `tension` tau A,
 they bear only where `bending` is not 0.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import warp as wp
@@ -17,7 +18,11 @@ import warp as wp
 from ...core.parameters import Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
+from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
+
+ROLLS_NOT = 4 / math.sqrt(3) / math.pi
+"""Moment of a disc of mortar on the plate over tau A r, as :class:`BinghamMortar` has it everywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +36,9 @@ class PlasticMortar(BinghamMortar):
 
     tension: Annotated[float, "pull that a shell bears besides its slider, over tau_0 A", Within(0)] = 2.5
     bending: Annotated[float, "moment that a shell bears over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
+
+    def gripped(self, grip: float) -> ContactLaw:
+        return replace(super().gripped(grip), bending=ROLLS_NOT)  # a lone sphere would roll away
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:

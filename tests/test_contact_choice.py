@@ -1,0 +1,240 @@
+"""Another contact law in scenes of elements: by object, by name, on the command line, in records and studies."""
+
+import importlib
+import json
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from click.testing import CliRunner
+from pumping import command, small_options
+from test_laws import Toy
+from test_records import refused, saved
+
+from warpcrete import SceneError, scenes
+from warpcrete.cli import cli
+from warpcrete.core.fingerprints import fingerprint
+from warpcrete.core.origin import changed_fields
+from warpcrete.core.parameters import Above
+from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer, RollingResistance
+from warpcrete.record.loading import repeatable_scene
+from warpcrete.studies import study as studies
+from warpcrete.studies.trade import run_trade
+
+TAKING = ("pipe", "part-dem", "slump-dem", "funnel-dem", "lbox-dem", "jring-dem")
+TOY = dict(contact="test_laws:Toy", contact_push=0.25)
+HERTZ = HertzMindlin(effective_modulus=1e6, effective_shear_modulus=4e5)
+pipe_module = importlib.import_module("warpcrete.scenes.pipe")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden(Toy):
+    """A law with a field that nothing declares."""
+
+    secret: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Around(Toy):
+    """A law round another one."""
+
+    inner: Annotated[HertzMindlin, "inside"]
+    depth: Annotated[float, "[m]", Above()] = 1.0
+
+
+@pytest.mark.parametrize("name", TAKING)
+@pytest.mark.parametrize("law", [Toy(push=0.25), HERTZ, RollingResistance(contact=Contact(friction=0.3))])
+def test_a_scene_takes_a_law_records_it_by_name_and_makes_it_again(name, law, tmp_path):
+    module = scenes.modules()[name]
+    scene = module.scene(contact=law)
+    assert scene.contact == law and changed_fields(scene) == []
+    record = saved(scene, tmp_path)
+    again, _ = repeatable_scene(record, scenes.modules())
+    named = again["parameters"]
+    assert named["contact"] == {Toy: "test_laws:Toy", HertzMindlin: "hertz-mindlin"}.get(type(law), "rolling")
+    assert all(isinstance(value, str | int | float | None) for value in named.values())
+    assert fingerprint(module.scene(**named)) == fingerprint(scene)
+    assert fingerprint(module.scene(**module.scene.plain(scene, {"contact": law}))) == fingerprint(scene)
+
+
+def test_a_law_is_given_by_object_by_name_or_by_both():
+    assert scenes.pipe(**TOY).contact == scenes.pipe(contact=Toy(push=0.25)).contact == Toy(push=0.25)
+    assert scenes.pipe(contact=Toy(push=1.0), contact_push=0.25).contact == Toy(push=0.25)
+    scene = scenes.pipe(contact=f"{__name__}:Around", contact_push=1.0, contact_inner_effective_modulus=1e6,
+                        contact_inner_effective_shear_modulus=4e5)  # fmt: skip
+    assert scene.contact == Around(push=1.0, inner=HERTZ)
+    assert scenes.pipe(contact=Around(push=1.0, inner=HERTZ), contact_inner_friction=0.7).contact.inner.friction == 0.7
+
+
+def test_walls_follow_the_law_or_one_of_their_own():
+    own = scenes.pipe()
+    assert isinstance(own.contact, Contact) and isinstance(own.contacts["aggregate", "wall"], LubricationLayer)
+    assert scenes.pipe(contact=HERTZ).contacts == {}
+    wall = scenes.pipe(wall_contact="lubrication", wall_contact_yield_stress=5.0, friction=0.3)
+    assert wall.contact.friction == 0.3
+    assert wall.contacts == {("aggregate", "wall"): LubricationLayer(yield_stress=5.0)}
+    both = scenes.part_dem(contact=HERTZ, wall_contact=LubricationLayer(viscosity=9.0))
+    assert both.contact == HERTZ and both.contacts == {("aggregate", "wall"): LubricationLayer(viscosity=9.0)}
+    assert any("contact HertzMindlin acts between aggregates and on the wall" in line for line in scenes.pipe(
+        contact=HERTZ).remarks)  # fmt: skip
+    assert not any("calibrated" in line for line in wall.remarks) and any("calibrated" in line for line in own.remarks)
+    # What holds a plug and a packing is as stiff as the law says.
+    assert scenes.pipe(contact=HERTZ).group_bonds["plug"].effective_modulus == 2e6
+    assert scenes.pipe(contact=HERTZ, plug_pressure=1.0).fill.pressure == 2e3
+
+
+def test_vessels_grip_by_what_a_law_has():
+    slump = scenes.slump_dem(contact=HERTZ, plate_grip=3.0, mould_grip=0.5)
+    assert slump.contacts["aggregate", "plate"].friction == pytest.approx(0.9)
+    assert slump.contacts["aggregate", "mould"].friction == pytest.approx(0.15)
+    layer = LubricationLayer(contact=Contact(friction=0.1), yield_stress=4.0, viscosity=6.0)
+    assert layer.gripped(0.5) == LubricationLayer(contact=Contact(friction=0.05), yield_stress=2.0, viscosity=3.0)
+    toy = scenes.slump_dem(**TOY)
+    assert set(toy.contacts.values()) == {Toy(push=0.25)} and "Toy has no friction" in toy.remarks[0]
+    with pytest.raises(SceneError, match=r"plate_grip = 1\.0: means nothing beside contact Toy"):
+        scenes.slump_dem(**TOY, plate_grip=1.0)
+
+
+@pytest.mark.parametrize("given, message", [
+    (dict(contact="test_laws:Toy"), "contact_push = None: must be given with contact Toy: whatever the overlap"),
+    (TOY | dict(contact_push="much"), "contact_push = 'much': must be a number"),
+    (TOY | dict(contact_pull=1.0), "contact_pull = 1.0: means nothing beside contact = .*; which has contact_push"),
+    (dict(contact_push=1.0), "contact_push = 1.0: means nothing beside contact = None"),
+    (dict(contact="test_laws:Tou"), "contact = 'test_laws:Tou': the module 'test_laws' has no 'Tou'"),
+    (dict(contact="nowhere:Toy"), "contact = 'nowhere:Toy': there is no module 'nowhere' on .* set PYTHONPATH"),
+    (dict(contact="nowhere.deep:Toy"), "there is no module 'nowhere' on Python's path"),
+    (dict(contact="__main__:Toy"), "put the class of a script or notebook into a file of its own"),
+    (dict(contact="os:path"), "must be a frozen dataclass that derives from warpcrete.dem.laws.base:ContactLaw"),
+    (dict(contact="warpcrete.dem.laws:ContactLaw"), "must be a frozen dataclass|lacks device_functions"),
+    (dict(contact="hertz"), "contact = 'hertz': must be one of linear, hertz-mindlin, .* or package.module:Class"),
+    (dict(contact="a b:Toy"), "must be one of linear"),
+    (dict(contact=7), "contact = 7: must be one of linear, .* or an object of such a class"),
+    (dict(contact=Toy), "must be one of linear"),
+    (dict(contact="linear", contact_friction=-1.0), "contact_friction = -1.0: must be finite and at least 0"),
+    (dict(contact="rolling", contact_contact_friction=-1.0), "contact_contact_friction = -1.0: must be"),
+    (TOY | dict(friction=0.2), "friction = 0.2: means nothing unless contact is left out .its parameters are contact_"),
+    (TOY | dict(modulus=2e5), "modulus = 200000.0: means nothing unless contact"),
+    (TOY | dict(layer_yield=2.0), "layer_yield = 2.0: means nothing unless contact"),
+    (dict(wall_contact="linear", wall_friction=0.2), "wall_friction = 0.2: means nothing unless wall_contact"),
+])  # fmt: skip
+def test_what_names_no_law_or_means_nothing_beside_one_is_refused(given, message):
+    with pytest.raises(SceneError, match=message) as found:
+        scenes.pipe(**given)
+    assert "\n" not in str(found.value)
+
+
+def test_a_vessels_own_law_means_nothing_beside_another():
+    for name, value in (("law", "bonds"), ("modulus", 2e5), ("friction", 0.2), ("rolling_friction", 0.4)):
+        with pytest.raises(SceneError, match=f"{name} = .*: means nothing unless contact is left out"):
+            scenes.slump_dem(**TOY, **{name: value})
+
+
+def test_a_law_that_text_does_not_tell_whole_is_recorded_but_not_repeated(tmp_path):
+    class Local(Toy):
+        """Nobody else finds it."""
+
+    for law in (Hidden(push=1.0, secret=2.0), Local(push=1.0)):
+        scene = scenes.pipe(contact=law)
+        assert scene.contact == law and changed_fields(scene) == ["contact"]
+        record = saved(scene, tmp_path)
+        assert json.loads(record.read_text())["modified"]["contact"]["push"] == 1.0
+        assert "is of a scene whose contact changed" in refused("run", record, "--out", tmp_path / "out")
+        with pytest.raises(SceneError, match="cannot be made again in another run or process"):
+            run_trade("pipe", pipe_module, base={"contact": law}, out=tmp_path / "out", budget=1.0, device="cpu")
+        with pytest.raises(SceneError, match="cannot be made again in another run or process"):
+            studies.run_study("pipe", pipe_module, {"velocity": [0.1, 0.2]}, base={"contact": law},
+                              out=tmp_path / "out", device="cpu")  # fmt: skip
+    assert changed_fields(scenes.pipe(contact=Hidden(push=1.0))) == []
+
+
+def test_a_study_varies_laws_and_their_parameters(tmp_path, monkeypatch):
+    monkeypatch.setattr(studies, "run_in_processes", lambda *rest: None)
+
+    def cases(varied, **base):
+        out = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        study = studies.run_study("pipe", pipe_module, varied, base=base, out=out, device="cpu")
+        return study, [case.parameters for case in study.cases]
+
+    study, found = cases({"contact_push": [0.1, 0.2]}, contact="test_laws:Toy")
+    assert [pipe_module.scene(**each).contact.push for each in found] == [0.1, 0.2]
+    assert study.heading("contact_push") == "contact_push [N]"
+    study, found = cases({"velocity": [0.1, 0.2]}, contact=Toy(push=0.3))
+    assert [pipe_module.scene(**each).contact for each in found] == 2 * [Toy(push=0.3)]
+    study, found = cases({"contact": ["test_laws:Toy", "linear"]}, contact_push=0.4)
+    assert [pipe_module.scene(**each).contact for each in found] == [Toy(push=0.4), Contact()]
+    with pytest.raises(SceneError, match=r"contact = Toy.*: must be varied by names"):
+        cases({"contact": [Toy(push=0.1), Toy(push=0.2)]})
+
+
+def test_a_law_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path, monkeypatch):
+    file = tmp_path / "my_law.py"
+    file.write_text("from test_laws import Toy\nfrom dataclasses import dataclass\n"
+                    "@dataclass(frozen=True, kw_only=True)\nclass Mine(Toy):\n    pass\n")  # fmt: skip
+    monkeypatch.syspath_prepend(tmp_path)
+    record = saved(scenes.pipe(contact="my_law:Mine", contact_push=1.0), tmp_path / "run")
+    assert list(json.loads(record.read_text())["files"]) == [str(file)]
+    file.write_text(file.read_text() + "\n# another\n")
+    assert "my_law.py', which has changed since" in refused("run", record, "--out", tmp_path / "out")
+    monkeypatch.delitem(sys.modules, "my_law")
+    file.unlink()
+    assert "there is no module 'my_law' on Python's path" in refused("run", record, "--out", tmp_path / "out")
+
+
+def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
+    run = CliRunner().invoke
+    helped = run(cli, ["run", "pipe", "--contact", "test_laws:Toy", "--help"]).output
+    assert "Parameters of contact Toy:" in helped
+    assert re.search(r"--contact-push FLOAT +whatever the overlap \[N\]  \[required\]", helped)
+    assert "--contact-push" not in run(cli, ["run", "pipe", "--help"]).output
+    vessel = run(cli, ["run", "slump-dem", "--contact=hertz-mindlin", "--help"]).output
+    assert "--contact-unloading [rescale|hold]" in vessel
+    assert "contact_push = None" in refused("run", "pipe", "--contact", "test_laws:Toy")
+    assert "there is no module 'nowhere'" in refused("run", "pipe", "--contact", "nowhere:Toy", "--contact-push", "1")
+    assert "contact_push = None" in refused("explain", "pipe", "--contact", "test_laws:Toy")
+    wrong = run(cli, ["study", "pipe", "--contact", "test_laws:Toy", "--contact-pull", "1", "2"])
+    assert wrong.exit_code == 2 and "--contact-pull: is no parameter of this scene" in wrong.output
+    monkeypatch.setattr(studies, "run_in_processes", lambda *rest: None)
+    run(cli, ["study", "pipe", "--contact", "test_laws:Toy", "--contact-push", "1", "2", "--device", "cpu", "--out",
+              str(tmp_path / "study")])  # fmt: skip
+    record = json.loads((tmp_path / "study" / "study.json").read_text())
+    assert [case["varied"] for case in record["cases"]] == [{"contact_push": 1.0}, {"contact_push": 2.0}]
+
+
+def guide_law(folder):
+    """Save the law that the guide shows as it says."""
+    text = (Path(__file__).parents[1] / "notebooks" / "guide.md").read_text(encoding="utf-8")
+    (block,) = [each for each in re.findall(r"```python\n(.*?)```", text, re.S) if "class Sticky" in each]
+    (folder / "sticky.py").write_text(block)
+
+
+def test_the_guides_law_is_found_in_the_folder_that_one_is_in(tmp_path, monkeypatch):
+    guide_law(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    scene = scenes.pipe(contact="sticky:Sticky", contact_pull=0.01)
+    assert scene.contact.pull == 0.01 and scene.contact.frictionless().pull == 0.0
+    assert scene.parameters["contact_stiffness"] == 200.0
+    monkeypatch.delitem(sys.modules, "sticky")
+
+
+@pytest.mark.thorough
+def test_a_run_with_the_guides_law_is_repeated_to_the_bit(tmp_path):
+    guide_law(tmp_path)
+    options = small_options(travel=0.01, ramp=0.008, settle=0.1, solid_fraction=0.5)
+    words = ["--device", "cpu", "--threads", "2", "--no-rerun", "--no-usd", "--quiet"]
+    done = command("run", "pipe", "--contact", "sticky:Sticky", "--contact-pull", "0.002", *options, *words, "--out",
+                   "one", cwd=tmp_path)  # fmt: skip
+    assert done.returncode in (0, 3), done.stderr
+    again = command("run", "one/scene.json", *words, "--out", "two", cwd=tmp_path)
+    assert again.returncode == done.returncode, again.stderr
+    other = command("run", "pipe", "--contact", "sticky:Sticky", *options, *words, "--out", "three", cwd=tmp_path)
+    assert other.returncode in (0, 3), other.stderr
+    one, two, three = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two", "three"))
+    assert one["state_hash"] == two["state_hash"] != three["state_hash"]
+    assert one["momentum_balance_error"] < 0.01
+    lost = command("run", tmp_path / "one" / "scene.json", *words, "--out", tmp_path / "four", cwd="/")
+    assert lost.returncode == 2 and len(lost.stderr.splitlines()) == 1
+    assert "there is no module 'sticky' on Python's path" in lost.stderr and "PYTHONPATH" in lost.stderr

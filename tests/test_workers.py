@@ -1,0 +1,145 @@
+"""Processes that run cases: from any kind of script, and each of them may die."""
+
+import json
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import pytest
+from pumping import command
+
+from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
+from warpcrete.studies import calibrate, running
+from warpcrete.studies import study as studies
+from warpcrete.studies.cases import MOST_CASES, Case, cases_of
+from warpcrete.studies.study import Study
+from warpcrete.studies.workers import Crew, WorkerDied
+
+HERE = "jobs"
+
+
+def test_workers_answer_fail_and_die_without_harm_to_one_another():
+    with Crew() as crew:
+        assert crew.run((HERE, "add"), (2, 3)) == (5, False)
+        assert "no pickle holds" not in str(crew.run((HERE, "unreadable"), ()).args)
+        error = crew.run((HERE, "diverge"), ())
+        assert isinstance(error, ConvergenceError) and error.iterations == 7
+        assert isinstance(crew.run((HERE, "nothing"), ()), AttributeError)
+        with pytest.raises(WorkerDied, match=r"^its process ended with exit code 7$"):
+            crew.run((HERE, "leave"), (7,))
+        with pytest.raises(WorkerDied, match="was killed by SIGKILL; memory may have run out"):
+            crew.run((HERE, "kill"), (signal.SIGKILL,))
+        with pytest.raises(WorkerDied, match="was killed by SIGSEGV"):
+            crew.run((HERE, "kill"), (signal.SIGSEGV,))
+        with ThreadPoolExecutor(2) as pool:
+            waiting = pool.submit(crew.run, (HERE, "wait_for_stop"), ())
+            assert crew.run((HERE, "add"), (1, 1)) == (2, False)
+            crew.stop()
+            assert waiting.result(timeout=30) == "stopped"
+        assert crew.run((HERE, "add"), (1, 1)) == (2, True)
+        processes = [worker._process for worker in crew._all]
+    assert all(process.poll() is not None for process in processes)
+
+
+def test_a_worker_that_cannot_start_is_no_fault_of_a_case(monkeypatch):
+    monkeypatch.setattr(sys, "path", ["/nowhere"])
+    with Crew() as crew, pytest.raises(WarpcreteError, match="no worker process can be started: its process ended"):
+        crew.run((HERE, "add"), (1, 1))
+
+
+def test_a_case_whose_process_dies_is_failed_and_the_others_go_on(tmp_path, monkeypatch):
+    outcomes = {"1": WorkerDied("its process was killed by SIGKILL"), "2": {"finished": True, "checks": {}}}
+    monkeypatch.setattr(Crew, "run", lambda self, function, arguments: _come_to(outcomes[arguments[-1].name]))
+    found = {}
+    cases = [Case(name, {}, {}) for name in ("1", "2")]
+    running.run_in_processes({}, studies, tmp_path, cases, 1, lambda case, outcome: found.update({case.name: outcome}))
+    assert found == outcomes
+    study = Study(tmp_path, "pipe", cases, results={"2": outcomes["2"]}, failures={"1": str(outcomes["1"])})
+    assert study.lost == ["1"] and study.progress == "1 of 2 cases done, 1 failed" and study.progress in repr(study)
+
+
+def _come_to(outcome):
+    if isinstance(outcome, Exception):
+        raise outcome
+    return outcome
+
+
+def test_a_study_has_no_more_cases_than_anybody_reads():
+    for given in (dict(varied={"velocity": [0.1]}, repeat=1_000_000_000), dict(varied={}, repeat=MOST_CASES + 1),
+                  dict(varied={"velocity": [0.1]}, repeat=10**9, one_at_a_time=True),
+                  dict(varied={key: range(100) for key in "abcdef"})):  # fmt: skip
+        with pytest.raises(SceneError, match=r"makes [\d,]+ cases; a study has 10,000 at most"):
+            cases_of({}, **given)
+    assert len(cases_of({}, {"velocity": [0.1]}, repeat=100)) == 100
+    assert len(cases_of({}, {key: range(100) for key in "ab"}, one_at_a_time=True)) == 200
+
+
+SCRIPT = """\
+import os, sys
+import warpcrete
+{before}
+study = warpcrete.study(warpcrete.scenes.channel, vary={{"flow": [1e-3, 2e-3]}}, spacing=0.02, duration=0.012,
+                        sample_interval=4e-3, device="cpu", out=sys.argv[1], {settings})
+print(study)
+"""
+
+
+def script(tmp_path, how, out, settings, before=""):
+    text = SCRIPT.format(settings=settings, before=before)
+    file = tmp_path / "script.py"
+    file.write_text(text)
+    return subprocess.run(
+        [sys.executable, "-" if how == "stdin" else str(file), str(out)], input=text if how == "stdin" else None,
+        capture_output=True, text=True, timeout=300, cwd=tmp_path,
+    )  # fmt: skip
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("how, settings", [
+    ("file", "processes=2"), ("stdin", "processes=2"), ("file", "scheduler='local', workers=1"),
+])  # fmt: skip
+def test_a_study_runs_from_a_script_without_a_main_guard(tmp_path, how, settings):
+    done = script(tmp_path, how, tmp_path / "study", settings, before="print('once')")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"once\n<Study of scene 'channel': 2 of 2 cases done, folder '{tmp_path / 'study'}'>\n"
+    record = json.loads((tmp_path / "study" / "study.json").read_text())
+    assert all((tmp_path / "study" / case["name"] / "result.json").is_file() for case in record["cases"])
+
+
+@pytest.mark.thorough
+def test_a_killed_process_costs_its_case_and_the_study_goes_on_with_it(tmp_path):
+    before = """
+import threading, time, psutil, pathlib
+def kill():
+    while not list(pathlib.Path(sys.argv[1]).glob("001-*/scene.json")):
+        time.sleep(0.01)
+    [child.kill() for child in psutil.Process().children()]
+threading.Thread(target=kill, daemon=True).start()
+"""
+    out = tmp_path / "study"
+    done = script(tmp_path, "file", out, "processes=1, checkpoint_every=0.0", before.strip())
+    assert "1 of 2 cases done, 1 failed" in done.stdout, done.stdout + done.stderr
+    again = command("study", "--resume", out, "--quiet")
+    assert again.returncode in (0, 3) and "2 of 2 cases done;" in again.stdout, again.stdout + again.stderr
+
+
+def test_python_dash_m_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "warpcrete", "--help"], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("Usage: warpcrete [OPTIONS]")
+    done = subprocess.run([sys.executable, "-m", "warpcrete", "run", "chute"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("error: scene = 'chute'")
+
+
+def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_path, monkeypatch):
+    cases = [Case("001", {}, {}), Case("002", {}, {})]
+    study = Study(tmp_path, "slump", cases, results={"001": {}}, failures={"002": "its process was killed by SIGKILL"})
+    monkeypatch.setattr(calibrate, "_ran", lambda *rest: study)
+    found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
+    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs are lost like this; go on with"
+    with pytest.raises(WarpcreteError, match=lost):
+        calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
+    (tmp_path / "002").mkdir()
+    (tmp_path / "002" / running.FAILED).write_text("unstable")
+    assert study.lost == []

@@ -1,0 +1,53 @@
+"""Fingerprints of scenes, and of any part of one: equal for equal contents, whatever the process."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+def fingerprint(value: Any) -> str:
+    """Return the SHA-256 of a scene or of any part of one.
+
+    The field `parameters` is left out: whatever the scene function made of its arguments is in the other fields.
+    """
+    digest = hashlib.sha256()
+    _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        digest.update(_name(value))
+        for field in dataclasses.fields(value):
+            if field.name != "parameters":
+                digest.update(field.name.encode())
+                _feed(digest, getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        for key, item in value.items():  # in their order, which numbers the kinds of bonds
+            _feed(digest, key)
+            _feed(digest, item)
+    elif isinstance(value, list | tuple):
+        digest.update(f"[{len(value)}".encode())
+        for item in value:
+            _feed(digest, item)
+    elif isinstance(value, int | float | np.integer | np.floating):
+        digest.update(float(value).hex().encode())
+    elif isinstance(value, str | None):
+        digest.update(repr(value).encode())
+    elif hasattr(value, "vertices") and hasattr(value, "faces"):  # a mesh of trimesh, whose parts refer to each other
+        _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
+    else:
+        digest.update(_name(value))
+        _feed(digest, {k: v for k, v in vars(value).items() if not k.startswith("_")})
+
+
+def _name(value: Any) -> bytes:
+    """Return the full name of a value's type: laws of two modules may share a class name."""
+    return f"{type(value).__module__}.{type(value).__qualname__}".encode()
