@@ -31,7 +31,7 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-3  # radii by which a hidden point may lie before the plane through a nearer one: rounding of coordinates
+BEHIND = 2.0e-2  # radii before the plane through a nearer contact, where a point is still hidden: corners are rounded off
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
