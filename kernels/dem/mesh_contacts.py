@@ -31,7 +31,7 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-2  # radii before the plane through a nearer contact, where a point is still hidden: corners are rounded off
+BEHIND = 2.0e-2  # radii that a hidden point may lie before the plane through a nearer one: corners are rounded
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -137,6 +137,40 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         return c > scalar(wp.static(MERGE_COSINE)) or ahead < scalar(wp.static(BEHIND)) * radius
 
     @wp.func
+    def with_contact(
+        normals: Vectors, gaps: Values, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3, gap: scalar,
+        radius: scalar,
+    ):  # fmt: skip
+        """Return the contacts with one more on wall `w`, unless another hides it; those that it hides are dropped.
+
+        The new contact takes the place of the first one that it hides. A count above MESH_SLOTS means that there is no
+        room for it.
+        """
+        for s in range(found):
+            if owners[s] == w and hides(normals[s], gaps[s], n, gap, radius):
+                return normals, gaps, owners, found
+        place = wp.int32(-1)
+        kept = wp.int32(0)
+        for s in range(found):
+            if owners[s] == w and hides(n, gap, normals[s], gaps[s], radius):
+                if place < 0:
+                    place = kept
+                    kept += 1
+            else:
+                normals[kept] = normals[s]
+                gaps[kept] = gaps[s]
+                owners[kept] = owners[s]
+                kept += 1
+        if place < 0:
+            place = kept
+            kept += 1
+        if place < MESH_SLOTS:
+            normals[place] = n
+            gaps[place] = gap
+            owners[place] = w
+        return normals, gaps, owners, kept
+
+    @wp.func
     def on_side_before(
         i: wp.int32,
         first: wp.int32,
@@ -192,7 +226,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     return SimpleNamespace(
         Vectors=Vectors,
         Values=Values,
-        hides=hides,
+        with_contact=with_contact,
         on_side_before=on_side_before,
         keep_contacts=keep_contacts,
     )
@@ -313,32 +347,12 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                         n, gap = parts.on_side_before(
                             i, analytic, w - first_wall, n, distance, radius, slot_wall, slot_normal
                         )
-                        hidden = wp.bool(False)
-                        for s in range(found):
-                            hidden = hidden or (owners[s] == w and parts.hides(normals[s], gaps[s], n, gap, radius))
-                        if not hidden:  # takes the place of the first one that it hides; those behind move up
-                            place = wp.int32(-1)
-                            kept = wp.int32(0)
-                            for s in range(found):
-                                if owners[s] == w and parts.hides(n, gap, normals[s], gaps[s], radius):
-                                    if place < 0:
-                                        place = kept
-                                        kept += 1
-                                else:
-                                    normals[kept] = normals[s]
-                                    gaps[kept] = gaps[s]
-                                    owners[kept] = owners[s]
-                                    kept += 1
-                            found = kept
-                            if place < 0 and found < MESH_SLOTS:
-                                place = found
-                                found += 1
-                            if place >= 0:
-                                normals[place] = n
-                                gaps[place] = gap
-                                owners[place] = w
-                            else:
-                                flags[scene, OVERFLOW] = 1
+                        normals, gaps, owners, found = parts.with_contact(
+                            normals, gaps, owners, found, w, n, gap, radius
+                        )
+                        if found > MESH_SLOTS:
+                            found = MESH_SLOTS
+                            flags[scene, OVERFLOW] = 1
             histories = parts.Vectors()
             turnings = parts.Vectors()
             for s in range(found):
