@@ -21,7 +21,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import HALTED, OVERFLOW, STALE
+from ..common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..common.geometry import triangle_functions
 from ..common.types import SPAN, types, vector_functions
 from ..common.walls import BORDER, SHARED, wall_struct
@@ -374,6 +374,9 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
+                if gaps[s] < -radius:  # the centre is behind the surface, and a step further the whole sphere may be
+                    if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
+                        wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])
                 histories[s] = sheared
                 turnings[s] = rolled
                 total_lost += wp.float64(lost)

@@ -7,7 +7,8 @@ on the velocity of half a step ago can stand against fixed neighbours, so that n
 opposition. For one contact it is PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta); for many it counts the dashpots
 together, which that formula does not.
 
-An automatic step also resolves impacts that lose little, so that they do not gain.
+An automatic step also resolves impacts that lose little, so that they do not gain, and no two spheres, nor a sphere and
+a wall, can go further towards one another in it than the sphere's radius.
 """
 
 import functools
@@ -28,6 +29,8 @@ from .subcycling import PART, RELAXATION
 
 DEFAULT_SAFETY = 0.8
 """Part of the stable step that a scene takes unless it says otherwise."""
+LONGEST = 1.0e30
+"""Step that nothing bounds [s]."""
 
 
 def estimate_options(half: bool) -> dict:
@@ -67,7 +70,7 @@ def begin_kernel(scalar):
         if not wanted:
             return
         for part in range(estimate.smallest.shape[0]):
-            estimate.smallest[part, s] = wp.float64(1.0e30)
+            estimate.smallest[part, s] = wp.float64(wp.static(LONGEST))
             estimate.fastest[part, s] = scenes.row[s].foreseen_speed
             for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
                 estimate.wall_load[part, w, 0] = wp.int64(0)
@@ -223,6 +226,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         c_turn = vec6()
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
+        leap = scalar(wp.static(LONGEST))
+        automatic = scenes.row[s].fixed_step == wp.float64(0.0)
         for place in range(base + bodies.first[b + s], base + bodies.first[b + s + 1]):
             k_sum += estimate.sums[place, 0]
             c_sum += estimate.sums[place, 1]
@@ -240,12 +245,11 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
             turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             row = scenes.row[s].laws + spheres.material[place] * materials
             tip = scalar(1.0) + mass * (lever - radius) * (lever - radius) / stout
-            k, c, k_smooth = floor_of(
-                pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn, tip
-            )
+            k, c, k_smooth = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn, tip)
             k_floor = wp.max(k_floor, k)
-            if scenes.row[s].fixed_step == wp.float64(0.0):
+            if automatic:
                 k_floor = wp.max(k_floor, k_smooth)
+                leap = wp.min(leap, radius / wp.max(speed, scalar(wp.static(1.0 / LONGEST))))
             c_floor = wp.max(c_floor, c)
         if stiff:
             k_floor = scalar(0.0)
@@ -257,6 +261,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         k_spin = row_sum(wp.transpose(axes) * full(k_turn) * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * full(c_turn) * axes, inertia)))
+        step = wp.min(step, leap)
         if wp.float64(step) < estimate.smallest[part, s]:
             wp.atomic_min(estimate.smallest, part, s, wp.float64(step))
         elif not (step >= scalar(0.0)):
