@@ -15,7 +15,7 @@ SCENES = {2: scenes.channel, 3: scenes.tube}
 
 def flow_of(device, precision="float64", dimensions=2, **parameters):
     """Particles of a scene, shaken by a hundredth of the spacing so that nothing holds by symmetry alone."""
-    scene = SCENES[dimensions](**{"spacing": 10e-3, **parameters})
+    scene = SCENES[dimensions](**{"spacing": 10e-3, "ends": "piston", **parameters})
     state = FluidState(scene, find_device(device), precision)
     rng = np.random.default_rng(1)
     shift = 0.01 * state.layout.spacing * rng.uniform(-1, 1, (state.count, dimensions))

@@ -63,7 +63,7 @@ def test_limits_may_be_others_or_none():
 
 def test_a_flow_that_bursts_is_not_called_steady(device):
     """Newtonian concrete at a wall that it sticks to, on a piston, whose corner with the wall no particles fill."""
-    scene = scenes.channel(**SHEARED, duration=1.0)
+    scene = scenes.channel(**SHEARED, ends="piston", duration=1.0)
     with pytest.raises(InstabilityError, match=r"usual cures.*ends = periodic"):
         Simulation(scene, device=device).run()
 

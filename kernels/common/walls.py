@@ -16,6 +16,11 @@ PLANE = wp.constant(0)
 PIPE = wp.constant(1)
 MESH = wp.constant(2)
 
+# What lies across an edge of a mesh's face, where that is not a single face: nothing, or several faces; then the number
+# of the edge's row in the rings of the corners is taken off.
+BORDER = wp.constant(-1)
+SHARED = wp.constant(-2)
+
 # Motions.
 FIXED = wp.constant(0)
 PRESCRIBED = wp.constant(1)

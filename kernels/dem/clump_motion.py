@@ -81,26 +81,27 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
 
 @functools.cache
-def carry_function(scalar, meshes: bool, half: bool):
+def carry_function(scalar, growth: bool, meshes: bool, half: bool):
     """`carry`: takes a sphere along with its body, and looks whether lists still hold all that it may touch."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
     xyz, pack = vector_functions(scalar).xyz, vector_functions(scalar).pack
-    place_sphere = placing_function(scalar, meshes, half)
+    place_sphere = placing_function(scalar, growth, meshes, half)
     rows = row_functions(scalar)
     read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
     @wp.func
     def carry(
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
-        x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar,
+        x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar, dt: scalar,
     ):  # fmt: skip
         """`x` and what follows are the body's; `size` is a factor of its full size."""
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size
-        place_sphere(flags, scenes, spheres, links, s, i, x + arm, offset[3] * size)
-        write_vec4(spheres.velocity, i, pack(velocity + wp.cross(spin, arm), mass))
+        speed = velocity + wp.cross(spin, arm)
+        place_sphere(flags, scenes, spheres, links, s, i, x + arm, offset[3] * size, dt * speed)
+        write_vec4(spheres.velocity, i, pack(speed, mass))
         write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
 
     return carry
@@ -127,7 +128,7 @@ def clump_kernel(
     turned, spin_at_middle = rotation_functions(scalar)
     gather, gather_abreast = gather_functions(scalar, dissipation, rows, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
-    motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, meshes, half)
+    motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, growth, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
 
@@ -223,6 +224,6 @@ def clump_kernel(
             if wp.static(growth):
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
             for i in range(begin + lane, end, stride):
-                carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass)
+                carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass, dt)
 
     return move_clumps

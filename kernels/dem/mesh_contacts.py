@@ -6,6 +6,11 @@ no edge that meets there may. That leaves one contact on any triangulated plane 
 corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
 minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
 
+A wall's own surface hides what lies behind it: of two contacts the farther one is none if its point lies behind the
+plane through the nearer one, across the line from the sphere's centre. So the outer skin of a wall that is thinner than
+an overlap adds nothing, nor does an edge of faces that lie on one another without having corners in common. Where the
+overlap is small, nothing that touches the sphere is hidden.
+
 The kernel takes the arrays of walls and slots one by one, and looks for an old contact's history in its own loop: with
 structs of them, or with a function for that, CUDA's compiler unrolls loops otherwise and the kernel takes 5 % longer.
 """
@@ -16,16 +21,17 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import HALTED, OVERFLOW, STALE
+from ..common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..common.geometry import triangle_functions
 from ..common.types import SPAN, types, vector_functions
-from ..common.walls import wall_struct
+from ..common.walls import BORDER, SHARED, wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
+BEHIND = 2.0e-2  # radii that a hidden point may lie before the plane through a nearer one: corners are rounded
 MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -52,6 +58,10 @@ def surface_functions(scalar) -> SimpleNamespace:
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
+    def across_edge(inward: t.vec3, along: t.vec3):
+        return inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
+
+    @wp.func
     def is_minimum(
         feature: wp.int32,
         face: wp.int32,
@@ -69,15 +79,21 @@ def surface_functions(scalar) -> SimpleNamespace:
         if feature < 4:
             edge = feature - 1
             beyond = across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
-            if beyond < 0:
-                return True  # a border edge
-            if across[face, edge + 3] < face:
-                return False  # the neighbour reports this edge
+            if beyond == BORDER:
+                return True
             a = corners[faces[face, edge]]
             along = corners[faces[face, (edge + 1) % 3]] - a
-            inward = corners[beyond] - a
-            inward = inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
-            return not falls_towards(inward, offset)
+            if beyond <= SHARED:
+                row = SHARED - beyond
+                if ring[ring_start[row]] != face - wall.first_face:
+                    return False  # the lowest face reports this edge
+                for k in range(ring_start[row] + 1, ring_start[row + 1]):
+                    if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
+                        return False
+                return True
+            if across[face, edge + 3] < face:
+                return False  # the neighbour reports this edge
+            return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
@@ -112,13 +128,47 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)
 
     @wp.func
-    def surface_found(normals: Vectors, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3):
-        """Which of the contacts `found` is with the surface that has this normal; -1 for none."""
-        place = wp.int32(-1)
+    def hides(n: t.vec3, gap: scalar, farther_n: t.vec3, farther_gap: scalar, radius: scalar):
+        """Return whether a contact is the same as a `farther` one with this wall, or has it behind its surface."""
+        if gap > farther_gap:
+            return False
+        c = wp.dot(n, farther_n)
+        ahead = radius + gap - c * (radius + farther_gap)
+        return c > scalar(wp.static(MERGE_COSINE)) or ahead < scalar(wp.static(BEHIND)) * radius
+
+    @wp.func
+    def with_contact(
+        normals: Vectors, gaps: Values, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3, gap: scalar,
+        radius: scalar,
+    ):  # fmt: skip
+        """Return the contacts with one more on wall `w`, unless another hides it; those that it hides are dropped.
+
+        The new contact takes the place of the first one that it hides. A count above MESH_SLOTS means that there is no
+        room for it.
+        """
         for s in range(found):
-            if owners[s] == w and wp.dot(normals[s], n) > scalar(wp.static(MERGE_COSINE)):
-                place = s
-        return place
+            if owners[s] == w and hides(normals[s], gaps[s], n, gap, radius):
+                return normals, gaps, owners, found
+        place = wp.int32(-1)
+        kept = wp.int32(0)
+        for s in range(found):
+            if owners[s] == w and hides(n, gap, normals[s], gaps[s], radius):
+                if place < 0:
+                    place = kept
+                    kept += 1
+            else:
+                normals[kept] = normals[s]
+                gaps[kept] = gaps[s]
+                owners[kept] = owners[s]
+                kept += 1
+        if place < 0:
+            place = kept
+            kept += 1
+        if place < MESH_SLOTS:
+            normals[place] = n
+            gaps[place] = gap
+            owners[place] = w
+        return normals, gaps, owners, kept
 
     @wp.func
     def on_side_before(
@@ -176,7 +226,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
     return SimpleNamespace(
         Vectors=Vectors,
         Values=Values,
-        surface_found=surface_found,
+        with_contact=with_contact,
         on_side_before=on_side_before,
         keep_contacts=keep_contacts,
     )
@@ -297,18 +347,12 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                         n, gap = parts.on_side_before(
                             i, analytic, w - first_wall, n, distance, radius, slot_wall, slot_normal
                         )
-                        place = parts.surface_found(normals, owners, found, w, n)
-                        if place < 0:
-                            if found < MESH_SLOTS:
-                                normals[found] = n
-                                gaps[found] = gap
-                                owners[found] = w
-                                found += 1
-                            else:
-                                flags[scene, OVERFLOW] = 1
-                        elif gap < gaps[place]:
-                            normals[place] = n
-                            gaps[place] = gap
+                        normals, gaps, owners, found = parts.with_contact(
+                            normals, gaps, owners, found, w, n, gap, radius
+                        )
+                        if found > MESH_SLOTS:
+                            found = MESH_SLOTS
+                            flags[scene, OVERFLOW] = 1
             histories = parts.Vectors()
             turnings = parts.Vectors()
             for s in range(found):
@@ -330,6 +374,9 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
+                if gaps[s] < -radius:  # the centre is behind the surface, and a step further the whole sphere may be
+                    if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
+                        wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])
                 histories[s] = sheared
                 turnings[s] = rolled
                 total_lost += wp.float64(lost)

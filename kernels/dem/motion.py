@@ -172,8 +172,12 @@ def taking_function(scalar, half: bool):
 
 
 @functools.cache
-def placing_function(scalar, meshes: bool, half: bool):
-    """`place_sphere`: writes where a sphere has got to, and notes where lists may miss a contact in the next step."""
+def placing_function(scalar, growth: bool, meshes: bool, half: bool):
+    """`place_sphere`: writes where a sphere has got to, and notes where lists may miss a contact in the next step.
+
+    A sphere that goes further than its radius in a step may pass through another, or through a wall: its body FAILED.
+    While bodies grow, which begin small and overlap anyway, that is no failure.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -186,8 +190,11 @@ def placing_function(scalar, meshes: bool, half: bool):
     @wp.func
     def place_sphere(
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
-        place: t.vec3, radius: scalar,
+        place: t.vec3, radius: scalar, way: t.vec3,
     ):  # fmt: skip
+        if wp.static(not growth):
+            if wp.length_sq(way) > radius * radius:
+                wp.atomic_cas(flags, s, FAILED, 0, 1 + spheres.body[i])
         drift = drift_of(scenes, s)
         if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
             flags[s, LATE] = 1
@@ -216,7 +223,7 @@ def sphere_kernel(
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
     damped, moved_on = motion.damped, motion.moved_on
-    place_sphere = placing_function(scalar, meshes, half)
+    place_sphere = placing_function(scalar, growth, meshes, half)
     each = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = each.read_vec3, each.read_vec4, each.write_vec3, each.write_vec4
     Links = links_struct(scalar)
@@ -293,7 +300,7 @@ def sphere_kernel(
                 radius = spheres.offset[i][3] * wp.min(
                     scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end
                 )
-            place_sphere(flags, scenes, spheres, links, s, i, place, radius)
+            place_sphere(flags, scenes, spheres, links, s, i, place, radius, dt * velocity)
             write_vec4(spheres.velocity, i, pack(velocity, mass))
 
     return move_spheres

@@ -6,9 +6,13 @@ c the largest absolute row sums, the step is min 2 m / (c + sqrt(c^2 + 4 m k)): 
 on the velocity of half a step ago can stand against fixed neighbours, so that neighbours of equal mass may move in
 opposition. For one contact it is PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta); for many it counts the dashpots
 together, which that formula does not.
+
+An automatic step also resolves impacts that lose little, so that they do not gain, and no two spheres, nor a sphere and
+a wall, can go further towards one another in it than the sphere's radius.
 """
 
 import functools
+import math
 from types import SimpleNamespace
 
 import warp as wp
@@ -22,6 +26,11 @@ from .contact_law import contact_functions
 from .stiffness import estimate_struct, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
+
+DEFAULT_SAFETY = 0.8
+"""Part of the stable step that a scene takes unless it says otherwise."""
+LONGEST = 1.0e30
+"""Step that nothing bounds [s]."""
 
 
 def estimate_options(half: bool) -> dict:
@@ -61,7 +70,7 @@ def begin_kernel(scalar):
         if not wanted:
             return
         for part in range(estimate.smallest.shape[0]):
-            estimate.smallest[part, s] = wp.float64(1.0e30)
+            estimate.smallest[part, s] = wp.float64(wp.static(LONGEST))
             estimate.fastest[part, s] = scenes.row[s].foreseen_speed
             for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
                 estimate.wall_load[part, w, 0] = wp.int64(0)
@@ -115,6 +124,19 @@ def floor_function(scalar, pair_law, wall_law):
     wall_touch = contact_functions(scalar).wall_touch
 
     @wp.func
+    def resolved(k: t.vec4, onset: scalar, mass: scalar):
+        """Stiffness for which the default step keeps the energy of an impact to 1 % and a quarter of what it loses.
+
+        A spring of stiffness `onset` begins and ends within a step: at angular frequency w that is worth up to
+        (w dt)^2 / 4 of the energy. The bend of a law that stiffens from nothing is worth less than a third of that.
+        """
+        stiffest = wp.max(onset, scalar(0.3) * k[0])
+        if stiffest <= scalar(0.0):
+            return scalar(0.0)
+        lost = scalar(1.0) - wp.exp(-scalar(wp.static(math.pi)) * k[2] / wp.sqrt(mass * wp.max(onset, k[0])))
+        return stiffest * scalar(wp.static(0.25 * DEFAULT_SAFETY**2)) / (scalar(0.01) + scalar(0.25) * lost)
+
+    @wp.func
     def floor_of(
         pair_parameters: wp.array(dtype=Pair),
         wall_parameters: wp.array(dtype=Wall),
@@ -124,24 +146,30 @@ def floor_function(scalar, pair_law, wall_law):
         speed: scalar,
         mass: scalar,
         turn: scalar,
+        tip: scalar,
     ):
-        """`turn` is what shear does to move and turn the body, over what it does to move it.
+        """`turn` is what shear does to move and turn the body, over what it does to move it; `tip` is that of a push.
 
         Springs may be twice as stiff as the step allows two bodies, since a single one has nothing that moves against
-        it; dashpots, taken half a step late, have no such reserve.
+        it; dashpots, taken half a step late, have no such reserve. The third number is the stiffness that the step
+        must resolve for the sake of energy.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)
+        gentle = wall_touch(n, scalar(0.0), t.vec3(), scalar(0.0), radius, mass)
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
+        k_resolved = scalar(0.0)
         for m in range(materials):
             k = pair_stiffness(pair_parameters[row + m], touch)
             k_floor = wp.max(k_floor, wp.max(k[0], scalar(0.5) * turn * k[1]))
             c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
+            k_resolved = wp.max(k_resolved, resolved(k, pair_stiffness(pair_parameters[row + m], gentle)[0], mass))
             k = wall_stiffness(wall_parameters[row + m], touch)
             k_floor = wp.max(k_floor, wp.max(k[0], scalar(0.5) * turn * k[1]))
             c_floor = wp.max(c_floor, wp.max(k[2], turn * k[3]))
-        return k_floor, c_floor
+            k_resolved = wp.max(k_resolved, resolved(k, wall_stiffness(wall_parameters[row + m], gentle)[0], mass))
+        return k_floor, c_floor, tip * k_resolved
 
     return floor_of
 
@@ -198,6 +226,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         c_turn = vec6()
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
+        leap = scalar(wp.static(LONGEST))
+        automatic = scenes.row[s].fixed_step == wp.float64(0.0)
         for place in range(base + bodies.first[b + s], base + bodies.first[b + s + 1]):
             k_sum += estimate.sums[place, 0]
             c_sum += estimate.sums[place, 1]
@@ -214,8 +244,12 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
             lever = radius + wp.length(xyz(position) - read_vec3(bodies.position, b))
             turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             row = scenes.row[s].laws + spheres.material[place] * materials
-            k, c = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn)
+            tip = scalar(1.0) + mass * (lever - radius) * (lever - radius) / stout
+            k, c, k_smooth = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn, tip)
             k_floor = wp.max(k_floor, k)
+            if automatic:
+                k_floor = wp.max(k_floor, k_smooth)
+                leap = wp.min(leap, radius / wp.max(speed, scalar(wp.static(1.0 / LONGEST))))
             c_floor = wp.max(c_floor, c)
         if stiff:
             k_floor = scalar(0.0)
@@ -227,6 +261,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         k_spin = row_sum(wp.transpose(axes) * full(k_turn) * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * full(c_turn) * axes, inertia)))
+        step = wp.min(step, leap)
         if wp.float64(step) < estimate.smallest[part, s]:
             wp.atomic_min(estimate.smallest, part, s, wp.float64(step))
         elif not (step >= scalar(0.0)):

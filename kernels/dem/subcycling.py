@@ -345,7 +345,7 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
-    carry, Links = carry_function(scalar, meshes, half), links_struct(scalar)
+    carry, Links = carry_function(scalar, False, meshes, half), links_struct(scalar)
     kicked, book = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
@@ -390,7 +390,8 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
             book(subcycled, spheres, q, begin)
             for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
                 carry(
-                    flags, scenes, spheres, links, s, i, x, orientation, scalar(1.0), velocity, spin, subcycled.mass[q]
-                )
+                    flags, scenes, spheres, links, s, i, x, orientation, scalar(1.0), velocity, spin,
+                    subcycled.mass[q], scalar(2.0) * ahead,
+                )  # fmt: skip
 
     return foresee_bodies

@@ -45,11 +45,11 @@ class JointArrays:
     faces: wp.array
     """Corners of each triangle, shape (faces, 3)."""
     across: wp.array
-    """Far corner beyond each edge of a triangle, then the triangle there; -1 at borders, shape (faces, 6)."""
+    """As that of :class:`Surfaces`, as the next two; shape (faces, 6)."""
     ring_start: wp.array
-    """First entry of each corner's row in `ring`, and the end, shape (corners + 1,)."""
+    """First entry of each row in `ring`, and the end, shape (rows + 1,)."""
     ring: wp.array
-    """For each corner the lowest triangle there, then the corners with which it shares an edge."""
+    """Triangles and corners around each corner, and around edges of three or more triangles."""
     face_wall: wp.array
     """Wall that a triangle belongs to, shape (faces,)."""
     pair_parameters: wp.array
@@ -148,7 +148,8 @@ class JointArrays:
             for w, wall in enumerate(model.walls):
                 if isinstance(wall, MeshWall):
                     assert table["kind"][w] == int(MESH)
-                    table["first_face"][w] = surfaces.add(wall.vertices, wall.faces, first["walls"] + w)
+                    vertices, faces, _ = wall.surface
+                    table["first_face"][w] = surfaces.add(vertices, faces, first["walls"] + w)
             tables.append(table)
             drives.append(model.drive_axis.numpy() + first_segment[s])
             self._describe(s, model, state, still=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED))))

@@ -223,12 +223,13 @@ def _wall_rows(
         row.material = materials.index(wall.material)
         wall.fill(row, axes.add)
         if isinstance(wall, MeshWall):
-            surface = wp.Mesh(
-                points=wp.array(wall.vertices.astype(np.float32), dtype=wp.vec3, device=device),
-                indices=wp.array(wall.faces.ravel(), dtype=wp.int32, device=device),
+            vertices, faces, _ = wall.surface
+            mesh = wp.Mesh(
+                points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device),
+                indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
             )
-            kept.append(surface)
-            row.mesh = surface.id
+            kept.append(mesh)
+            row.mesh = mesh.id
         rows.append(row)
     return _structs(rows, WallRow, device), tuple(kept)
 

@@ -27,7 +27,7 @@ from .scheduling import Steps, drive_one
 from .stable_step import StableStep, foreseen_speed
 from .state import State
 from .subcycling import MARGIN, rounds_for
-from .watch import unstable
+from .watch import failed_body
 
 # Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
 # that rebuilding less often pays where there are few spheres (28,000: 52, 48, 52 and 65 us a step at 0.7, 1.0, 1.4 and
@@ -254,9 +254,21 @@ class Stepper:
                     "given for an automatic one"
                 )
             refuse("time_step", fixed, what, "leave it out for an automatic step")
+        self._check_walls()
         self._estimated = True
         self.batch.estimated(self.index, self.steps)
         return dt
+
+    def _check_walls(self) -> None:
+        """Refuse a fixed step in which a prescribed wall goes further than the smallest radius."""
+        fixed = self.time_step.fixed
+        if fixed is None or not self.state.sphere_count:
+            return
+        for wall in self.model.walls:
+            if wall.top_speed() * fixed > self.state.smallest_radius:
+                refuse("time_step", fixed, f"moves the wall {wall.name!r} by {wall.top_speed() * fixed:.3g} m a step, "
+                       f"further than the smallest radius, {self.state.smallest_radius:.3g} m",
+                       "leave it out for an automatic step, or slow the wall down")  # fmt: skip
 
     def _since_estimate(self) -> float:
         """Steps taken since the stable step was estimated; infinite where it must be anew."""
@@ -319,15 +331,7 @@ class Stepper:
                 "usual cures: more mass or damping of the wall, a smaller time step"
             )
         if failed:
-            place = failed - 1
-            body = int(self.state.bodies.id.numpy()[place])
-            speed = float(np.linalg.norm(self.state.bodies.velocity.numpy()[place]))
-            limit = self.model.scene.watch.speed
-            return unstable(
-                self.time,
-                body,
-                f"speed goes from {speed:.3g} m/s past watch.speed = {limit:g} m/s in one step, or is not a number",
-            )
+            return failed_body(self.model, self.state, failed - 1)
         if flags[int(OVERFLOW)]:
             return CapacityError(
                 f"at t = {self.time:.6g} s a sphere touches a mesh wall in more than six directions at once; "

@@ -100,3 +100,30 @@ def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityE
     """The error of a run that has become unstable."""
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
+
+
+def failed_body(model: Model, state: State, place: int) -> InstabilityError:
+    """The error of a run that a device has stopped, for the body at a `place` of the state's arrays."""
+    own = np.flatnonzero(state.spheres.body.numpy() == place)
+    velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
+    body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
+    ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
+    wall = _wall_passed(model, state, own, radius)
+    if wall:
+        what, cures = f"{speed} carry it through the mesh wall {wall!r}", "stiffer contacts, slower bodies or walls"
+    elif np.any(ways > 0.999):
+        what = f"{speed} move it {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, past what it would touch"
+        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s, none for an automatic one, or slower bodies"
+    else:
+        what = f"speed goes from {speed} past watch.speed = {model.scene.watch.speed:g} m/s in one step, "
+        what, cures = what + "or is not a number", ""
+    return unstable(state.time, body, what, cures)
+
+
+def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
+    """Name of a mesh that has the centre of one of these spheres behind it; empty if there is none."""
+    if not model.features.meshes:
+        return ""
+    walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))
+    sphere, slot = np.nonzero((walls >= 0) & (overlap > radius[:, None]))
+    return model.walls[walls[sphere[0], slot[0]]].name if len(sphere) else ""

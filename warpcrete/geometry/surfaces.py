@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..kernels.common.walls import BORDER, SHARED
+
 
 class Surfaces:
     """Flat corner, face and adjacency arrays over all mesh walls."""
@@ -12,10 +14,12 @@ class Surfaces:
         self._corners: list[np.ndarray] = []
         self._faces: list[np.ndarray] = []
         self._across: list[np.ndarray] = []
-        self._ring: list[np.ndarray] = []
+        self._rings: list[list[np.ndarray]] = []
+        self._shared: list[list[np.ndarray]] = []
         self._owner: list[np.ndarray] = []
         self._corner_count = 0
         self._face_count = 0
+        self._shared_count = 0
 
     @property
     def face_count(self) -> int:
@@ -23,48 +27,76 @@ class Surfaces:
         return self._face_count
 
     def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
-        """Add a mesh; returns the number of its first face."""
+        """Add a mesh without coincident corners or repeated faces; return the number of its first face."""
         first_corner, first_face = self._corner_count, self._face_count
-        edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
-        for f, face in enumerate(faces.tolist()):
-            for e in range(3):
-                a, b = face[e], face[(e + 1) % 3]
-                edges.setdefault((min(a, b), max(a, b)), []).append((f, e))
-        across = np.full((len(faces), 6), -1, dtype=np.int32)
-        rings: list[list[int]] = [[] for _ in vertices]
-        lowest = np.full(len(vertices), len(faces))
-        np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
-        for (a, b), members in edges.items():
-            rings[a].append(b)
-            rings[b].append(a)
-            if len(members) == 2:  # an edge of three or more faces keeps them all as borders
-                for (f, e), (g, h) in (members, members[::-1]):
-                    across[f, e] = first_corner + faces[g][(h + 2) % 3]
-                    across[f, e + 3] = first_face + g
-        for v, neighbours in enumerate(rings):
-            self._ring.append(np.array([lowest[v], *(first_corner + n for n in neighbours)], dtype=np.int32))
+        ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
+        far = np.roll(faces, -2, axis=1).ravel()
+        edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
+        order = np.argsort(edge, kind="stable")  # sides of faces, 3 f + e, edge by edge
+        begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
+        across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)
+        one, two = order[begin[uses == 2]], order[begin[uses == 2] + 1]
+        for side, beyond in ((one, two), (two, one)):
+            across[side // 3, side % 3] = first_corner + far[beyond]
+            across[side // 3, side % 3 + 3] = first_face + beyond // 3
+        shared = []
+        for row, (start, count) in enumerate(zip(begin[uses > 2], uses[uses > 2])):
+            sides = order[start : start + count]
+            across[sides // 3, sides % 3] = int(SHARED) - self._shared_count - row
+            shared.append(np.concatenate([[sides.min() // 3], first_corner + far[sides]]))
         self._corners.append(vertices)
         self._faces.append(faces + first_corner)
         self._across.append(across)
+        self._rings.append(_rings(len(vertices), faces, np.stack(np.divmod(edges, len(vertices)), 1), first_corner))
+        self._shared.append(shared)
         self._owner.append(np.full(len(faces), wall, dtype=np.int32))
         self._corner_count += len(vertices)
         self._face_count += len(faces)
+        self._shared_count += len(shared)
         return first_face
 
     def corners(self) -> np.ndarray:
+        """Corners of all meshes [m], shape (corners, 3)."""
         return np.concatenate([np.empty((0, 3)), *self._corners])
 
     def faces(self) -> np.ndarray:
+        """Corners of each face, shape (faces, 3)."""
         return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
 
     def across(self) -> np.ndarray:
-        return np.concatenate([np.empty((0, 6), np.int32), *self._across]).astype(np.int32)
+        """Far corner beyond each edge of a face, then the face there, shape (faces, 6).
+
+        The corner is `BORDER` at an edge of this face alone, and ``SHARED - row`` at an edge of three or more, which
+        has a row of its own in `ring`.
+        """
+        across = np.concatenate([np.empty((0, 6), np.int64), *self._across])
+        return np.where(across <= int(SHARED), across - self._corner_count, across).astype(np.int32)
 
     def owner(self) -> np.ndarray:
+        """Wall of each face, shape (faces,)."""
         return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
 
     def ring(self) -> np.ndarray:
-        return np.concatenate([np.empty(0, np.int32), *self._ring]).astype(np.int32)
+        """Rows of all corners, then of the edges that three or more faces share, end to end.
+
+        A row begins with the lowest face there, counted within its mesh. The corners follow to which an edge leads from
+        this corner, or the far corners of the faces at this edge.
+        """
+        return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
     def ring_start(self) -> np.ndarray:
-        return np.concatenate([[0], np.cumsum([len(r) for r in self._ring])]).astype(np.int32)
+        """First entry of each row of `ring`, and the end, shape (rows + 1,)."""
+        return np.concatenate([[0], np.cumsum([len(row) for row in self._rows()])]).astype(np.int32)
+
+    def _rows(self) -> list[np.ndarray]:
+        return [row for rows in (*self._rings, *self._shared) for row in rows]
+
+
+def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
+    """Return the row of `ring` of each of `count` corners."""
+    lowest = np.full(count, len(faces))
+    np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
+    here = np.concatenate([np.arange(count), edges.ravel()])
+    entries = np.concatenate([lowest, first_corner + edges[:, ::-1].ravel()])
+    order = np.argsort(here, kind="stable")
+    return np.split(entries[order], np.cumsum(np.bincount(here, minlength=count))[:-1])

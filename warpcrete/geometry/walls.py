@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ..core.errors import between, positive, refuse, vector
 from ..kernels.common.walls import DRIVEN, FIXED, MESH, PIPE, PLANE, PRESCRIBED
 from .axis import Axis
+from .cleaning import clean
 
 SIDES = 48
 """Of round walls as they are drawn."""
@@ -234,7 +236,10 @@ class PipeWall(_Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class MeshWall(_Wall):
-    """Triangle mesh, rigid; either side may hold material."""
+    """Triangle mesh, rigid; either side may hold material.
+
+    Coincident corners, and triangles that repeat another one whichever way they wind, make one surface.
+    """
 
     name: str
     vertices: np.ndarray
@@ -258,6 +263,13 @@ class MeshWall(_Wall):
             refuse(f"{self.name}.faces", f"{faces.min()}..{faces.max()}", f"must lie in 0..{len(vertices) - 1}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
+        if len(self.surface[1]) == 0:
+            refuse(f"{self.name}.faces", f"{len(faces)} triangles", "have no area", "check the unit of its vertices")
+
+    @cached_property
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What bodies touch: cleaned corners (v, 3) [m] and triangles (g, 3), and the number of each in `faces`."""
+        return clean(self.vertices, self.faces)
 
     @property
     def reference_points(self) -> np.ndarray:

@@ -15,16 +15,18 @@ from ..core.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
-from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady_of_stress
+from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
 from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
-from .scene import Aggregates, FlowSettings, FlowWatch, FluidScene
+from .scene import ENDS, Aggregates, FlowSettings, FlowWatch, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0,
 }  # fmt: skip
 """A self-compacting concrete of which slip carries 0.7 of the flow of the paper's case."""
+LEAST_SLIP = 0.9
+"""Part of the mean velocity that slip must make for a column on a piston to hold."""
 FEWEST_ACROSS = 4
 """Particles across a pipe, of the coarsest spacing that a trade tries."""
 FLOW = 1500e-6
@@ -101,6 +103,14 @@ class AggregateParameters:
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
     """A column of concrete that a piston drives up a pipe."""
 
+    ends: Annotated[
+        str,
+        "piston: a column on a piston, with a free surface, by particles; periodic: a stretch of an endless pipe, on a "
+        "grid (a tube about its axis), for as much shear as there may be; auto: piston where slip carries 0.9 of the "
+        "flow by theory, and where only particles do (aggregates, paper_scheme), else periodic",
+        OneOf(("auto", *ENDS)),
+    ] = "auto"
+
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """A file's constants, and its mix's coarse aggregate."""
@@ -139,6 +149,21 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         positive("flow", flow, "m3/s", "at rest there is nothing to simulate")
         return flow
 
+    def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
+        """Return the ends that were asked for, or those that hold for the flow [m3/s] in a pipe of radius `bulk` [m].
+
+        Between a piston and a wall that concrete sticks to, a column loses volume and balance: it must slip.
+        """
+        if self.ends != "auto":
+            return self.ends
+        if self.aggregates or self.paper_scheme:
+            return "piston"
+        if self.rest or self.step_error:
+            return "periodic"
+        line = Line(radius=bulk, length=self.length, gravity=self.gravity)
+        state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
+        return "piston" if state.slip_velocity >= LEAST_SLIP * flow / (np.pi * bulk**2) else "periodic"
+
 
 def column_scene(
     name: str, dimensions: int, given: FlowParameters, paper: Mapping[str, Mapping[str, float]] | None = None
@@ -156,6 +181,7 @@ def column_scene(
     if area == 0.0:
         refuse("diameter", given.diameter, "is so small that its cross-section rounds to 0", "give it in metres")
     flow = given.driven(concrete, bulk, dimensions)
+    given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,
@@ -243,18 +269,20 @@ def flow_trading(dimensions: int) -> Trading:
         lambda given: _knobs(given, dimensions),
         quantities=("pressure", "slip_velocity"),
         closed_form=lambda given: not given.aggregates and not given.rest,
-        variants=_variants,
+        variants=lambda given: _variants(given, dimensions),
         tolerance="tolerated_error",
     )
 
 
-def _variants(given: FlowParameters) -> dict[str, dict[str, Any]]:
+def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
     """Other concretes, flows and pipes, all of one phase, where theory is the reference.
 
-    More flow or less means that slip carries more or less of it; the self-compacting concrete is all but sheared.
+    More flow or less means that slip carries more or less of it; the self-compacting concrete is all but sheared. All
+    are solved as the given flow is, whose settings are to be carried over to them.
     """
     if given.aggregates or given.pressure is not None:
         return {}
+    same = {"ends": column_scene("variants", dimensions, given).ends} if given.ends == "auto" else {}
     flow = FLOW if given.flow is None else given.flow
     wider = {"diameter": 1.5 * given.diameter, "length": 1.5 * given.length, "flow": 2.25 * flow}
     found: dict[str, dict[str, Any]] = {
@@ -266,7 +294,8 @@ def _variants(given: FlowParameters) -> dict[str, dict[str, Any]]:
     if given.concrete in MIXES:
         own = dict.fromkeys(CONSTANTS)
         found |= {f"concrete {name}": own | {"concrete": name} for name in MIXES if name != given.concrete}
-    return found | {"a concrete that shears": SHEARED}
+    found["a concrete that shears"] = SHEARED
+    return {name: changes | same for name, changes in found.items()}
 
 
 def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:

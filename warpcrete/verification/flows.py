@@ -16,7 +16,7 @@ TUBE = {"pressure": 4e-3, "slip_velocity": 5e-3, "profile": 4e-3, "volume": 8e-4
 def _flow(dimensions: int, mix: str, device: str, precision: str) -> list[Row]:
     allowed = CHANNEL if dimensions == 2 else TUBE
     spacing = 5e-3 if dimensions == 2 else 10e-3
-    scene = column_scene("flow", dimensions, FlowParameters(concrete=mix, spacing=spacing))
+    scene = column_scene("flow", dimensions, FlowParameters(concrete=mix, spacing=spacing, ends="piston"))
     result = FluidSimulation(scene, device=device, precision=precision).run().result
     theory, pressure, slip = scene.theory(), result["pressure"]["value"], result["slip_velocity"]["value"]
     return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +11,15 @@ import numpy as np
 from ...core.method import Quantity
 from ...core.run_loop import Run
 from ...core.units import number
+from ...geometry.sections import section_area
 from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
-from .scene import FreeScene
+from ..grid.geometry import polygon_distance, wall_distance
+from .scene import FreeScene, Points
 
 T500 = 0.5
 """Spread whose time is told [m] (EN 12350-8)."""
+SAMPLES = 30
+"""Points along each axis at which walls in space are looked for."""
 LIGHT = 0.5
 """How full a funnel's middle is at most when light is seen through it."""
 
@@ -190,7 +194,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
 
 def expected(scene: FreeScene) -> dict[str, float]:
     """What closed forms say of a test; of a slump that of a heap where it is wider than high, else of a tall cone."""
-    known = Known(scene, {}, _volume(scene))
+    known = Known(scene, {}, start_volume(scene))
     closed = {each.name: each.of(known) for each in QUANTITIES if each.name.endswith(("_theory", "_heap"))}
     found = {
         "slump": closed["slump_heap"] or closed["slump_theory"],
@@ -201,9 +205,26 @@ def expected(scene: FreeScene) -> dict[str, float]:
     return {name: float(value) for name, value in found.items() if value is not None}
 
 
-def _volume(scene: FreeScene) -> float:
-    """Of the concrete before the test, of a radian, a metre's depth or the depth of the room [m2, m3]."""
-    x, y = np.array(scene.outline, dtype=float).T
-    if scene.axial:  # Pappus, edge by edge
-        return abs(float(np.sum((np.roll(x, -1) ** 2 + np.roll(x, -1) * x + x**2) * (np.roll(y, -1) - y)))) / 6
-    return abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))) / 2 * (scene.depth or 1.0)
+def start_volume(scene: FreeScene) -> float:
+    """Return the volume of the concrete before the test, of a radian, a metre's depth or the depth of the room [m3]."""
+    held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
+    area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)
+    return area * (scene.depth or 1.0) * _free_part(scene, held)
+
+
+def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
+    """Return the part of the concrete's place that walls in space leave free."""
+    if not scene.walls:
+        return 1.0
+    (left, low), (right, high) = scene.extent
+    across = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    corner, size = np.array([left, 0.0, low]), np.array([right - left, scene.depth, high - low])
+    points = corner + size * np.stack(np.meshgrid(across, across, across, indexing="ij"), -1).reshape(-1, 3)
+    inside = polygon_distance(scene.outline)(points) < 0
+    for polygon in held:
+        inside &= polygon_distance(polygon)(points) > 0
+    points = points[inside]
+    free = np.ones(len(points), bool)
+    for wall in scene.walls:
+        free &= wall_distance(wall, np.array(scene.amid))(points) > 0
+    return float(free.mean()) if len(points) else 1.0

@@ -1,0 +1,76 @@
+"""Bodies that go so fast that a step carries them past what they would touch."""
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import by_id
+from test_walls import DENSITY, RADIUS
+
+from warpcrete import InstabilityError, SceneError
+from warpcrete.dem.clumps import elongated
+from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+
+BOX = trimesh.creation.box((0.1, 0.1, 0.1))
+INSIDE = (MeshWall(name="box", vertices=BOX.vertices, faces=BOX.faces),)
+ELASTIC = Contact(effective_modulus=1e8, friction=0.0, normal_damping_ratio=0.0)
+
+
+def thrown(start, contact=ELASTIC, walls=INSIDE, dt=None, velocity=(100.0, 0.0, 0.0), **body):
+    """Stepper of one body of 20 mm in the middle of a box of 100 mm."""
+    bodies = Bodies(positions=[[0, 0, 0]], sizes=2 * RADIUS, density=DENSITY, velocities=[velocity], **body)
+    scene = Scene(name="thrown", duration=1.0, gravity=(0, 0, 0), walls=walls, contact=contact,
+                  time_step=TimeStep(fixed=dt), bodies=(bodies,))  # fmt: skip
+    return start(scene)
+
+
+@pytest.mark.parametrize("template", [None, elongated(2.0)], ids=["sphere", "clump"])
+def test_a_fixed_step_that_carries_a_body_past_the_wall_ends_the_run(start, template):
+    soft = Contact(effective_modulus=1e3)
+    radius = RADIUS if template is None else 2 * RADIUS * template.scaled(1.0)[1].min()
+    for part, fails in ((0.9, False), (1.1, True), (6.0, True)):
+        stepper = thrown(start, soft, dt=part * radius / 100.0, template=template)
+        if not fails:
+            stepper.take(1)
+            continue
+        with pytest.raises(InstabilityError, match=r"^t = 0 s, body 0: 100 m/s move it .* usual cures: a time_step"):
+            stepper.take(2)
+
+
+def test_a_clump_that_spins_so_fast_ends_the_run(start):
+    template = elongated(3.0)
+    centres, radii = template.scaled(2 * RADIUS)
+    far = int(np.argmax(np.linalg.norm(centres, axis=1)))
+    dt = 1e-5
+    for part, fails in ((0.9, False), (1.1, True)):
+        spin = part * radii[far] / np.linalg.norm(centres[far]) / dt
+        across = np.cross(centres[far], [0.3, 0.2, 0.7])
+        spins = [spin * across / np.linalg.norm(across)]
+        stepper = thrown(start, Contact(effective_modulus=1e3), (), dt, (0, 0, 0), template=template, spins=spins)
+        if not fails:
+            stepper.take(1)
+            continue
+        with pytest.raises(InstabilityError, match="of its radius in a step"):
+            stepper.take(2)
+
+
+def test_an_automatic_step_is_short_enough_to_meet_the_wall(start):
+    stepper = thrown(start)
+    for _ in range(40):
+        stepper.take(20)
+        assert np.abs(by_id(stepper.state, "position")).max() < 0.05
+    stepper = thrown(start, Contact(effective_modulus=1e3))
+    assert 0.3 * RADIUS < 2 * 100.0 * stepper.dt < RADIUS
+
+
+def test_a_body_that_no_contact_can_hold_ends_the_run(start):
+    stepper = thrown(start, Contact(effective_modulus=1e5))
+    with pytest.raises(InstabilityError, match=r"body 0: .* m/s carry it through the mesh wall 'box'; usual cures"):
+        stepper.advance(0.01)
+
+
+def test_a_wall_that_goes_further_than_a_radius_in_a_fixed_step_is_refused(start):
+    wall = PlaneWall(name="piston", point=(0, 0, -0.1), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 50.0)))
+    thrown(start, walls=(wall,), dt=1e-6)
+    with pytest.raises(SceneError, match=r"time_step = 0.0003: moves the wall 'piston' by 0.015 m a step"):
+        thrown(start, Contact(effective_modulus=1e3), (wall,), 3e-4, (0, 0, 0))
