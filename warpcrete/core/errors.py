@@ -24,6 +24,10 @@ class RunFolderError(WarpcreteError):
     """A run folder, or a file of one, cannot be created, read or written."""
 
 
+class DiskFullError(RunFolderError):
+    """A file could not be written because the disk, a quota or a limit of the process takes no more."""
+
+
 class InstabilityError(WarpcreteError):
     """The simulated state left the range in which it means anything."""
 

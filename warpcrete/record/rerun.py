@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import atexit
+import os
+import re
 import subprocess
 import sys
 import threading
@@ -13,17 +15,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun_cli
 
 from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
-from ..core.files import cannot_write
+from ..core.files import cannot_write, partial_of, room_in
 from ..core.later import Later
 from ..core.paint import STEPS, Paint
 from ..core.run_loop import Recorder, Run, Simulation
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .legend import legend, paint_legend
 
-FLUSH_TIME = 10.0  # [s] that a viewer, or the writer of a file that does not grow, gets to take the rest
+PATIENCE = 4.0
+"""Time that a viewer, or the writer of a file that does not grow, gets to take the rest [s]."""
+LOOK = 0.5
+"""Time between two looks at whether the file has grown [s]."""
+TIED = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, which stays with the program that follows
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+"""Becomes another program, which ends with the process that started it."""
 AXIS = (200, 200, 200)
 MARGIN = 512
 """Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
@@ -54,6 +67,7 @@ class RerunRecorder(Recorder):
 
     rows_alone = True
     draws_alone = True
+    expendable = True
 
     def __init__(
         self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
@@ -62,6 +76,8 @@ class RerunRecorder(Recorder):
         self._recording: Any = None
         self._later = Later(beside=False)
         self._display: Display | None = None
+        # Its log would go to the terminal, line by line; what fails is told by the calls.
+        os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
         self._rr = rr
@@ -73,6 +89,9 @@ class RerunRecorder(Recorder):
 
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
+        if self.path is not None:
+            for path in self._later_parts(0):  # of a run that was cut before its first checkpoint
+                path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
@@ -81,9 +100,10 @@ class RerunRecorder(Recorder):
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Drop the parts after the checkpoint and open the next."""
         if self.path is not None:
-            for number in range(state["parts"]):
-                if not self._part(number).is_file():
-                    raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
+            if not self.path.is_file():
+                warnings.warn(f"'{self.path}': is missing; the recording begins anew", stacklevel=2)
+                self.start(simulation)
+                return
             for path in self._later_parts(state["parts"]):
                 path.unlink()
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
@@ -95,13 +115,20 @@ class RerunRecorder(Recorder):
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Close the part and open the next."""
+        """Return what the next part goes on from."""
         self._later.wait()
+        following = self._parts + (self.path is not None)
+        return {"recording_id": self._id, "parts": following, "places": self._places}
+
+    def write(self, simulation: Simulation) -> None:
+        """Close the part and open the next."""
         if self.path is not None:
             self._flush()
             self._parts += 1
-            self._recording.set_sinks(*self._sinks())
-        return {"recording_id": self._id, "parts": self._parts, "places": self._places}
+            try:
+                self._recording.set_sinks(*self._sinks())
+            except RuntimeError as error:
+                raise self._trouble(error) from error
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Curves at one row."""
@@ -298,20 +325,24 @@ class RerunRecorder(Recorder):
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def _flush(self) -> None:
-        size = -1
+        """Wait until the file, and a viewer, have everything."""
+        size, since = -1, time.monotonic()
         while True:
-            begun = time.monotonic()
             try:
-                self._recording.flush(timeout_sec=FLUSH_TIME)
+                self._recording.flush(timeout_sec=LOOK)
                 return
             except (RuntimeError, ValueError) as error:
-                if self.live:
-                    trouble = error
-                    break
-                # A writer that met a full disk may never answer; one that is slow lets its file grow.
+                trouble = error
+                time.sleep(0.05)  # a writer that has died answers at once
+            # A writer that met a full disk may never answer; one that is slow lets its file grow.
+            if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
-                if time.monotonic() - begun < 0.9 * FLUSH_TIME or size == before:
-                    raise self._trouble(error) from error
+                if size != before:
+                    since = time.monotonic()
+            if time.monotonic() - since > PATIENCE or (self.path is not None and room_in(self.path.parent)):
+                break
+        if not self.live:
+            raise self._trouble(trouble) from trouble
         # A viewer that is not there must not hold up the run; the file has everything.
         warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
         self.live = False
@@ -320,7 +351,7 @@ class RerunRecorder(Recorder):
         """Close, but do not wait for a writer that never answers, here or when the program ends."""
         closing = threading.Thread(target=self._recording.disconnect, daemon=True)
         closing.start()
-        closing.join(FLUSH_TIME)
+        closing.join(LOOK)
         if closing.is_alive():
             atexit.unregister(self._rr.rerun_shutdown)
 
@@ -344,17 +375,27 @@ class RerunRecorder(Recorder):
         return ([self.path] if first == 0 else []) + later
 
     def _join(self) -> None:
-        """One file of all parts, by Rerun's own tool."""
+        """Join all parts into one file, by Rerun's own tool; what a killed run left of a part is read as far as it is
+        whole."""
         assert self.path is not None
-        parts = [self._part(number) for number in range(self._parts + 1)]
-        partial = self.path.with_name("partial-" + self.path.name)
-        command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(partial)]
-        done = subprocess.run(command, capture_output=True, text=True)
+        parts = [path for path in map(self._part, range(self._parts + 1)) if path.is_file()]
+        partial = partial_of(self.path)
+        tool = str(Path(rerun_cli.__file__).with_name("rerun"))
+        command = [tool, "rrd", "merge", "--continue-on-error", *map(str, parts), "-o", str(partial)]
+        done = subprocess.run(dying_with_this_process(command), capture_output=True, text=True)
         if done.returncode != 0 or not partial.is_file():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            warnings.warn(f"the parts of {self.path} stay apart, joining them failed: {last}", stacklevel=2)
             partial.unlink(missing_ok=True)
-            return
+            number = re.search(r"os error (\d+)", done.stderr)
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            cause = OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(f"not joined: {last}")
+            raise cannot_write(self.path, cause)
         partial.replace(self.path)
         for path in parts[1:]:
             path.unlink()
+
+
+def dying_with_this_process(command: list[str]) -> list[str]:
+    """Return a command that runs another and is killed with this process, whatever ends it (on Linux)."""
+    if sys.platform != "linux":
+        return command
+    return [sys.executable, "-IS", "-c", TIED, str(os.getpid()), *command]
