@@ -16,7 +16,7 @@ from .errors import RunFolderError
 from .files import partial_of, whole_file
 from .provenance import fingerprint, processor, versions
 
-FORMAT = 6
+FORMAT = 7
 
 
 def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:

@@ -238,6 +238,7 @@ class Simulation:
         }
         checkpoint.write(path, self.scene, self.device, self.precision, contents)
         self._kept = self.stepper.time if self._ran else 0.0
+        self._saved = wall_clock.perf_counter()
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
@@ -262,8 +263,7 @@ class Simulation:
     def begin(self, path: Path | None = None) -> None:
         """Do everything up to t = 0, or up to the checkpoint at `path`, once recorders have their folders."""
         try:
-            for recorder in self.recorders:
-                recorder.claim(self)
+            self.claim()
             if path is None:
                 self.prepare()
             else:
@@ -272,10 +272,16 @@ class Simulation:
             self.abandon()
             raise
 
-    def abandon(self) -> None:
-        """Give back what recorders took for a run that does not begin."""
+    def claim(self) -> None:
+        """Have recorders take what only one run may have, such as its folder."""
         for recorder in self.recorders:
-            recorder.abandon(self)
+            recorder.claim(self)
+
+    def abandon(self) -> None:
+        """Give back what `claim` took, unless the run has begun."""
+        if not self._ran:
+            for recorder in self.recorders:
+                recorder.abandon(self)
 
     def run(self) -> Run:
         """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
@@ -296,6 +302,9 @@ class Simulation:
         full: list[Exception] = []  # disk
         try:
             try:
+                self._saved = wall_clock.perf_counter()
+                if not self.rows:  # nothing may cost the state at t = 0, which took packing and settling
+                    self._checkpoint()
                 self._recording.begin((self._resumed or {}).get("recorders", {}))
                 finished = yield from self._loop()
             except KeyboardInterrupt:
@@ -355,9 +364,6 @@ class Simulation:
             self.sampled = stepper.time, stepper.steps
             self._sample()
             self._frame()
-            self._checkpoint()
-        else:
-            self._saved = wall_clock.perf_counter()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
         for number in range(self._samples + 1, samples + 1):
             if self.stop_requested:
@@ -383,8 +389,8 @@ class Simulation:
                 self._frame()
             if ended:
                 return True
-            if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
-                self._checkpoint()
+            if number < samples:
+                self._checkpoint_if_due()
             self._tell_of(row, number / samples)
         return True
 
@@ -432,6 +438,10 @@ class Simulation:
                     raise
                 warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
         self._saved = wall_clock.perf_counter()
+
+    def _checkpoint_if_due(self) -> None:
+        if wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
+            self._checkpoint()
 
     def _running(self) -> float:
         return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)

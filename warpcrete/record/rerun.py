@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import re
-import subprocess
 import sys
 import threading
 import time
@@ -15,28 +13,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun_cli
 
 from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
-from ..core.files import cannot_write, partial_of, room_in
+from ..core.files import cannot_write, room_in
 from ..core.later import Later
 from ..core.paint import STEPS, Paint
 from ..core.run_loop import Recorder, Run, Simulation
+from ..core.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
+from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
 """Time that a viewer, or the writer of a file that does not grow, gets to take the rest [s]."""
 LOOK = 0.5
 """Time between two looks at whether the file has grown [s]."""
-TIED = """
-import ctypes, os, signal, sys
-ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, which stays with the program that follows
-if os.getppid() == int(sys.argv[1]):
-    os.execv(sys.argv[2], sys.argv[2:])
-"""
-"""Becomes another program, which ends with the process that started it."""
 AXIS = (200, 200, 200)
 MARGIN = 512
 """Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
@@ -57,9 +49,9 @@ class RerunRecorder(Recorder):
     a view of the inside.
 
     Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
-    (`rerun+http://127.0.0.1:9876/proxy`); `colouring` of bodies, one of those that the method's display has; `network`
-    also draws lines between bodies, where the display has any: contacts as wide and bright as the force that they
-    carry; bonds that do not press are orange.
+    (`rerun+http://127.0.0.1:9876/proxy`); `bind` the IP address that an opened one listens on; `colouring` of bodies,
+    one of those that the method's display has; `network` also draws lines between bodies, where the display has any:
+    contacts as wide and bright as the force that they carry; bonds that do not press are orange.
 
     Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
     resumed goes on after a whole part. At the end they become one file.
@@ -70,9 +62,19 @@ class RerunRecorder(Recorder):
     expendable = True
 
     def __init__(
-        self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
+        self,
+        path: Path | None,
+        *,
+        live: bool | str = False,
+        bind: str = LOOPBACK,
+        colouring: str | None = None,
+        network: bool = False,
     ) -> None:
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
+        self._bind = bind
+        if live is True and not has_screen():
+            refuse("live", live, "there is no screen here (DISPLAY is not set)",
+                   "give the URL of a viewer that runs elsewhere, or 'warpcrete view --web' the folder")  # fmt: skip
         self._recording: Any = None
         self._later = Later(beside=False)
         self._display: Display | None = None
@@ -247,7 +249,7 @@ class RerunRecorder(Recorder):
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Make one file of the parts."""
         if self.path is not None and self._parts > 0:
-            self._join()
+            join([self._part(number) for number in range(self._parts + 1)], self.path)
 
     def _describe(self, display: Display) -> None:
         """Everything that does not change."""
@@ -315,7 +317,10 @@ class RerunRecorder(Recorder):
         self._tensors: dict[int, Any] = {}  # of bars, by their number
         self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
         if self.live is True:
-            rr.spawn(connect=False, recording=self._recording)
+            opened = screen_viewer(bind=self._bind)
+            opened.start()
+            print(f"live: {opened.address}", file=sys.stderr)
+            self.live = opened.address
         try:
             self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
         except RuntimeError as error:
@@ -361,7 +366,7 @@ class RerunRecorder(Recorder):
         if self.path is not None:
             sinks.append(rr.FileSink(str(self._part(self._parts))))
         if self.live:
-            sinks.append(rr.GrpcSink() if self.live is True else rr.GrpcSink(str(self.live)))
+            sinks.append(rr.GrpcSink(str(self.live)))
         return sinks
 
     def _part(self, number: int) -> Path:
@@ -373,29 +378,3 @@ class RerunRecorder(Recorder):
         numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
         later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]
         return ([self.path] if first == 0 else []) + later
-
-    def _join(self) -> None:
-        """Join all parts into one file, by Rerun's own tool; what a killed run left of a part is read as far as it is
-        whole."""
-        assert self.path is not None
-        parts = [path for path in map(self._part, range(self._parts + 1)) if path.is_file()]
-        partial = partial_of(self.path)
-        tool = str(Path(rerun_cli.__file__).with_name("rerun"))
-        command = [tool, "rrd", "merge", "--continue-on-error", *map(str, parts), "-o", str(partial)]
-        done = subprocess.run(dying_with_this_process(command), capture_output=True, text=True)
-        if done.returncode != 0 or not partial.is_file():
-            partial.unlink(missing_ok=True)
-            number = re.search(r"os error (\d+)", done.stderr)
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            cause = OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(f"not joined: {last}")
-            raise cannot_write(self.path, cause)
-        partial.replace(self.path)
-        for path in parts[1:]:
-            path.unlink()
-
-
-def dying_with_this_process(command: list[str]) -> list[str]:
-    """Return a command that runs another and is killed with this process, whatever ends it (on Linux)."""
-    if sys.platform != "linux":
-        return command
-    return [sys.executable, "-IS", "-c", TIED, str(os.getpid()), *command]
