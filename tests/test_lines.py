@@ -288,12 +288,14 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
 
     def cut(*given, **settings):
-        (out / "parts").mkdir(parents=True)
+        (out / "parts").mkdir()
         raise KeyboardInterrupt
 
     monkeypatch.setattr("warpcrete.cli.line.run_line", cut)
     done = CliRunner().invoke(cli, ["line", str(path), "--out", str(out)])
-    assert done.exit_code == 130 and f"are taken by: warpcrete line {path} --known {out}" in done.output
+    assert done.exit_code == 130 and f"go on with the same command and --out {out}" in done.output
+    other = CliRunner().invoke(cli, ["line", str(path), "--out", str(out), "--cells", "10"])
+    assert "exists already, with another line that was cut" in str(other.exception)
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

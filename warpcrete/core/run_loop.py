@@ -295,6 +295,7 @@ class Simulation:
     def running(self) -> Coroutine:
         """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
         self._ran = True
+        self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
         if self._resumed is not None:
             self._kept = self.stepper.time
