@@ -25,13 +25,14 @@ from ..core.device import default_threads, find_device
 from ..core.errors import WarpcreteError, between, refuse
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.provenance import processor, provenance
+from ..core.viewer import LOOPBACK
 from .cases import Case
 from .running import Book, kept, run_cases
 
 SCHEDULERS = ("local", "slurm")
 """What can be started; anything else is the address of one that runs."""
-LOCAL = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
-"""Of a scheduler for one machine: nobody else can reach it."""
+LOCAL = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
+"""Options of a scheduler for one machine: nobody else can reach it."""
 LOOK = 1.0
 """From one question whether to stop to the next [s]."""
 CONNECT = 20.0
@@ -244,7 +245,9 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         "nthreads": 1,
         "memory_limit": 0,
         "silence_logs": logging.CRITICAL,
+        "host": LOOPBACK,
         "dashboard": False,
+        "dashboard_address": f"{LOOPBACK}:0",
         "preload": [__name__],
     }
     return SpecCluster(

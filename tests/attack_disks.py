@@ -1,0 +1,99 @@
+"""Fill disks of twenty sizes under runs, give them room, and go on: python tests/attack_disks.py (as root, by hand).
+
+Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
+more room, --resume must complete the folder, with the bits of a run that always had room.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from pumping import TINY
+
+SIZES = [16, 24, 32, 40, 48, 64, 80, 96, 112, 128, 160, 200, 256, 320, 400, 512, 700, 1000, 1600, 3000]
+"""Of the disks [KiB]."""
+ROOM = "40m"
+SLOWER = 10.0
+"""Time that a run may take longer for its disk being full [s]."""
+RUNS = {
+    "slump": ["--spacing", "0.02", "--duration", "0.3"],
+    "pipe": [word for name, value in TINY.items() for word in (f"--{name.replace('_', '-')}", str(value))],
+}
+CODE = "from warpcrete.cli import main; main()"
+
+
+def command(*words: object) -> tuple[subprocess.CompletedProcess, float]:
+    begun = time.monotonic()
+    call = [sys.executable, "-c", CODE, "run", *map(str, words), "--quiet"]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=300)
+    return done, time.monotonic() - begun
+
+
+def contents(folder: Path) -> tuple[list[str], str, bytes]:
+    """Names of the files of a run, the hash of its end, and its series."""
+    names = sorted(path.name for path in folder.iterdir())
+    return names, json.loads((folder / "result.json").read_text())["state_hash"], (folder / "series.csv").read_bytes()
+
+
+def check_recordings(folder: Path) -> None:
+    """Raise where a recording cannot be read."""
+    from pxr import Usd
+    from rerun.chunk import RrdReader
+
+    assert RrdReader(str(folder / "run.rrd")).stream().to_chunks()
+    assert Usd.Stage.Open(str(folder / "scene.usdc")).GetPrimAtPath("/Run")
+
+
+def attack(scene: str, size: int, disk: Path, whole: tuple, took: float) -> str:
+    """Fill a disk of so many KiB, then give it room; returns what the command said of the full disk."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "none", disk], check=True)
+    try:
+        folder = disk / "run"
+        first = (scene, *RUNS[scene], "--out", folder, "--device", "cpu", "--checkpoint-every", 0.1)
+        done, spent = command(*first)
+        said = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
+        if done.returncode in (0, 3):
+            assert not said and contents(folder) == whole, said
+            return "it fits"
+        assert done.returncode == 2 and len(said) == 1 and said[0].startswith("error: "), done.stderr
+        assert not re.search(r"\x1b|Traceback", done.stderr + done.stdout), done.stderr
+        assert spent < took + SLOWER, f"{spent:.1f} s, {took:.1f} s with room"
+        kept = re.search(r"state at t = (\S+) s is kept", said[0])
+        assert bool(kept) == (folder / "checkpoint.npz").is_file(), said[0]
+        subprocess.run(["mount", "-o", f"remount,size={ROOM}", disk], check=True)
+        again = ("--resume", folder) if (folder / "scene.json").is_file() else first
+        done, _ = command(*again)
+        assert done.returncode in (0, 3), done.stderr
+        assert contents(folder) == whole, (contents(folder)[0], whole[0])
+        check_recordings(folder)
+        return said[0]
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as place:
+        disk = Path(place) / "disk"
+        disk.mkdir()
+        failed = 0
+        for scene, options in RUNS.items():
+            settings = (*options, "--device", "cpu", "--checkpoint-every", 0.1)
+            for name in ("warm", scene):  # the first may compile
+                done, took = command(scene, *settings, "--out", Path(place) / name / scene)
+                assert done.returncode in (0, 3), done.stderr
+            whole = contents(Path(place) / scene / scene)
+            for size in SIZES:
+                try:
+                    print(f"{scene} {size} KiB: {attack(scene, size, disk, whole, took)}", flush=True)
+                except Exception as error:
+                    failed += 1
+                    print(f"{scene} {size} KiB: FAILED: {error!r}", flush=True)
+        raise SystemExit(min(failed, 1))
+
+
+if __name__ == "__main__":
+    main()
