@@ -45,7 +45,8 @@ def check_recordings(folder: Path) -> None:
     from rerun.chunk import RrdReader
 
     assert RrdReader(str(folder / "run.rrd")).stream().to_chunks()
-    assert Usd.Stage.Open(str(folder / "scene.usdc")).GetPrimAtPath("/Run")
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    assert stage.GetPrimAtPath("/Run") and stage.GetEndTimeCode() > 0
 
 
 def attack(scene: str, size: int, disk: Path, whole: tuple, took: float) -> str:

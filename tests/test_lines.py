@@ -215,7 +215,7 @@ def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch)
     def refused(*given, **settings):
         raise AssertionError("is simulated again")
 
-    monkeypatch.setattr(line_run, "Simulation", refused)
+    monkeypatch.setattr(line_run, "part_simulation", refused)
     longer = line_of({"diameter": 0.125, "parts": [{"straight": 50}, *parts[1:]]})
     again = run_line(longer, concrete, flow, known=tmp_path / "line", out=tmp_path / "longer", cells=8, device=device)
     assert again.took == {} and not (tmp_path / "longer" / "parts").exists()

@@ -33,6 +33,8 @@ class Hold:
     def __init__(self, folder: Path) -> None:
         """Take the right; raises :class:`RunFolderError` that names the owner if another run has it."""
         self.folder = folder
+        self.made: list[Path] = []
+        """Folders that were made for it, the outermost first."""
         self._path = folder / LOCK
         self._file = self._locked()
         os.ftruncate(self._file, 0)
@@ -66,6 +68,13 @@ class Hold:
                 self._path.unlink(missing_ok=True)
             os.close(self._file)
             self._file = -1
+
+    def remove(self) -> None:
+        """Release the folder and remove it, with the parents that were made for it, as far as they are empty."""
+        self.release()
+        for path in reversed(self.made):
+            with suppress(OSError):
+                path.rmdir()
 
     def __del__(self) -> None:
         if getattr(self, "_file", -1) >= 0:
@@ -106,6 +115,7 @@ def held(folder: Path) -> Iterator[None]:
 def make_folder(folder: Path) -> Hold:
     """Make a new folder, with its parents, and hold it; raises :class:`RunFolderError` for one that is not new."""
     check_new(folder)
+    made = [path for path in (*reversed(folder.absolute().parents), folder) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -114,14 +124,15 @@ def make_folder(folder: Path) -> Hold:
     if not is_empty(folder):  # another run was faster
         hold.release()
         check_new(folder)
+    hold.made = made
     return hold
 
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Make a new folder and hold it while the block runs."""
+    """Make a new folder and hold it while the block runs; one that it leaves empty is removed."""
     hold = make_folder(folder)
     try:
         yield
     finally:
-        hold.release()
+        hold.remove()

@@ -122,6 +122,9 @@ class Simulation:
         )
         self._spent: dict[str, float] = {}
         self._ran = self._over = False
+        self._saved = wall_clock.perf_counter()  # when the last checkpoint was written or read
+        self.goes_on = False
+        """The run goes on from a checkpoint, in the folder that is there."""
         self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
         self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
         self._samples = 0  # rows after the one at t = 0
@@ -216,11 +219,6 @@ class Simulation:
 
     # Checkpoints.
 
-    @property
-    def resumed(self) -> bool:
-        """The run goes on from a checkpoint."""
-        return self._resumed is not None
-
     def save(self, path: Path) -> None:
         """Write a checkpoint of the state as it is now, then what recorders have so far."""
         self._save_state(path)
@@ -256,12 +254,14 @@ class Simulation:
         self._spent = run["spent"]
         self._ran_before = self._spent["running"]
         self._over = run["over"]
+        self.goes_on, self._saved = True, wall_clock.perf_counter()
         return contents
 
     # The run.
 
     def begin(self, path: Path | None = None) -> None:
         """Do everything up to t = 0, or up to the checkpoint at `path`, once recorders have their folders."""
+        self.goes_on = path is not None
         try:
             self.claim()
             if path is None:
@@ -303,7 +303,6 @@ class Simulation:
         full: list[Exception] = []  # disk
         try:
             try:
-                self._saved = wall_clock.perf_counter()
                 if not self.rows:  # nothing may cost the state at t = 0, which took packing and settling
                     self._checkpoint()
                 self._recording.begin((self._resumed or {}).get("recorders", {}))

@@ -43,7 +43,6 @@ class TableRecorder(Recorder):
     def __init__(self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False) -> None:
         self.folder, self.command, self.going_on = folder, command, going_on
         self._hold: Hold | None = None
-        self._made: list[Path] = []  # folders, the outermost first
         self._file: TextIO | None = None
         self._writer: Any = None
 
@@ -55,23 +54,19 @@ class TableRecorder(Recorder):
         """Make the folder with scene.json, or take over that of the run that was cut; hold it."""
         if self._hold is not None:
             return
-        if (self.going_on or simulation.resumed) and self.folder.is_dir():
+        if (self.going_on or simulation.goes_on) and self.folder.is_dir():
             self._hold = Hold(self.folder)
             return
         record = scene_record(simulation, self.command)
-        self._made = [path for path in (*reversed(self.folder.absolute().parents), self.folder) if not path.exists()]
         self._hold = make_folder(self.folder)
         write_json(self.folder / "scene.json", record)
 
     def abandon(self, simulation: Simulation) -> None:
         """Remove the folder if it is new and holds no state that the run could go on from."""
-        if self._made and not (self.folder / "checkpoint.npz").exists():
+        if self._hold is not None and self._hold.made and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
-            self.close(simulation)
-            for path in reversed(self._made):
-                with suppress(OSError):
-                    path.rmdir()
+            self._hold.remove()
         self.close(simulation)
 
     def start(self, simulation: Simulation) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +44,6 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
                 record.unlink()
             raise
         record.unlink()
-    with suppress(OSError):
-        out.rmdir()  # if nothing came of it
 
 
 def known_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
