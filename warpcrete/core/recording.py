@@ -23,9 +23,11 @@ class Recording:
         """Recorders that have begun and have not failed, in the same order."""
         self.failures: list[Exception] = []
         """What the run could not put on disk, or could not end with."""
+        self._states: dict[str, Any] = {}  # of recorders at the last checkpoint, by their kind
 
     def begin(self, states: dict[str, Any]) -> None:
         """Start every recorder, or resume it from its state in a checkpoint."""
+        self._states = dict(states)
         for recorder in self.recorders:
             self.active.append(recorder)
             state = states.get(kind_of(recorder))
@@ -39,10 +41,20 @@ class Recording:
         for recorder in list(self.active):
             self._call(recorder, method, *arguments)
 
-    def states(self) -> dict[str, Any]:
-        """Return what recorders need to go on from this moment, by their kind."""
-        found = {kind_of(recorder): self._call(recorder, "checkpoint") for recorder in list(self.active)}
-        return {kind: state for kind, state in found.items() if state is not None}
+    def states(self) -> tuple[dict[str, Any], list[Exception]]:
+        """Return what recorders need to go on from this moment, by their kind, and what full disks kept from them.
+
+        One that cannot tell, or was left out, goes on from where it was at an earlier checkpoint.
+        """
+        full: list[Exception] = []
+        for recorder in list(self.active):
+            try:
+                self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
+            except Exception as error:
+                if not recorder.expendable:
+                    raise
+                full.append(error)
+        return {kind: state for kind, state in self._states.items() if state is not None}, full
 
     def _call(self, recorder: Recorder, method: str, *arguments: Any) -> Any:
         try:
@@ -51,10 +63,10 @@ class Recording:
             if not recorder.expendable or is_full(error):
                 raise
             self.active.remove(recorder)
+            self._warn(recorder, error)
             with suppress(Exception):  # what there is of it
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
-            self._warn(recorder, error)
-            return None
+            return self._states.get(kind_of(recorder))
 
     def finish(self, run: Run) -> None:
         """Put everything on disk, each recorder for itself; `failures` then has what a run cannot do without."""

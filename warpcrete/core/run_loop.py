@@ -227,8 +227,9 @@ class Simulation:
 
     def _save_state(self, path: Path) -> None:
         contents = self.state_dict()
+        recorders, full = self._recording.states() if self._ran else ({}, [])
         contents["run"] = {
-            "recorders": self._recording.states() if self._ran else {},
+            "recorders": recorders,
             "samples": self._samples,
             "next_frame": self.frames.next,
             "spent": self._spent | {"running": self._running()},
@@ -237,6 +238,8 @@ class Simulation:
         checkpoint.write(path, self.scene, self.device, self.precision, contents)
         self._kept = self.stepper.time if self._ran else 0.0
         self._saved = wall_clock.perf_counter()
+        if full:
+            raise full[0]
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
