@@ -1,4 +1,4 @@
-"""Fill disks of twenty sizes under runs, give them room, and go on: python tests/attack_disks.py (as root, by hand).
+"""Fill disks of twenty sizes under runs, give them room, and go on: python tests/attack_disks.py [SCENE ...] (as root, by hand).
 
 Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
 more room, --resume must complete the folder, with the bits of a run that always had room.
@@ -23,7 +23,9 @@ RUNS = {
     "slump": ["--spacing", "0.02", "--duration", "0.3"],
     "pipe": [word for name, value in TINY.items() for word in (f"--{name.replace('_', '-')}", str(value))],
 }
-CODE = "from warpcrete.cli import main; main()"
+CODE = (  # one that hangs shows where
+    "import faulthandler; faulthandler.dump_traceback_later(100, exit=True); from warpcrete.cli import main; main()"
+)
 
 
 def command(*words: object) -> tuple[subprocess.CompletedProcess, float]:
@@ -81,7 +83,7 @@ def main() -> None:
         disk = Path(place) / "disk"
         disk.mkdir()
         failed = 0
-        for scene, options in RUNS.items():
+        for scene, options in [(name, RUNS[name]) for name in sys.argv[1:] or RUNS]:
             settings = (*options, "--device", "cpu", "--checkpoint-every", 0.1)
             for name in ("warm", scene):  # the first may compile
                 done, took = command(scene, *settings, "--out", Path(place) / name / scene)

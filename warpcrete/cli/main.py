@@ -6,6 +6,7 @@ import importlib
 import inspect
 import os
 import signal
+import threading
 import warnings
 from pathlib import Path
 from types import ModuleType
@@ -13,8 +14,11 @@ from typing import Any
 
 import click
 
-from ..core.errors import InstabilityError, WarpcreteError
+from ..core.errors import DiskFullError, InstabilityError, WarpcreteError
 from .texts import MIX_HELP
+
+LAST_WORDS = 3.0
+"""Time that a command gets to end after a full disk was reported [s]."""
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
 
@@ -456,6 +460,10 @@ def main() -> None:
         raise SystemExit(1) from None
     except WarpcreteError as error:
         click.echo(f"error: {error}", err=True)
+        if isinstance(error, DiskFullError):  # a library may wait for the disk when the program ends
+            end = threading.Timer(LAST_WORDS, os._exit, [2])
+            end.daemon = True
+            end.start()
         raise SystemExit(2) from None
     except OSError as error:
         click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)

@@ -242,9 +242,10 @@ class RerunRecorder(Recorder):
                 self._later.close()
                 self._flush()
             except BaseException:
-                self._give_up()
+                self._disconnect(LOOK)
                 raise
-            self._recording.disconnect()
+            if not self._disconnect(PATIENCE):
+                raise self._trouble(RuntimeError("the writer does not end"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Make one file of the parts."""
@@ -352,13 +353,14 @@ class RerunRecorder(Recorder):
         warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
         self.live = False
 
-    def _give_up(self) -> None:
-        """Close, but do not wait for a writer that never answers, here or when the program ends."""
+    def _disconnect(self, patience: float) -> bool:
+        """Close, but do not wait long for a writer that never answers, here or when the program ends."""
         closing = threading.Thread(target=self._recording.disconnect, daemon=True)
         closing.start()
-        closing.join(LOOK)
+        closing.join(patience)
         if closing.is_alive():
             atexit.unregister(self._rr.rerun_shutdown)
+        return not closing.is_alive()
 
     def _sinks(self) -> list[Any]:
         rr = self._rr
