@@ -1,6 +1,6 @@
-"""Fill disks of twenty sizes under runs, give them room, and go on: python tests/attack_disks.py [SCENE ...] (as root, by hand).
+"""Fill disks of twenty sizes under runs, give them room, and go on.
 
-Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
+By hand, as root: python tests/attack_disks.py [SCENE ...]. Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
 more room, --resume must complete the folder, with the bits of a run that always had room.
 """
 
