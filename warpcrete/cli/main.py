@@ -7,14 +7,13 @@ import inspect
 import os
 import signal
 import threading
-import warnings
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import click
 
-from ..core.errors import DiskFullError, InstabilityError, WarpcreteError
+from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, warn_in_one_line
 from .texts import MIX_HELP
 
 LAST_WORDS = 3.0
@@ -433,14 +432,9 @@ def explain_command(arguments: tuple[str, ...]) -> None:
     _part("explain").run(_by_method(list(arguments)), _scenes())
 
 
-def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
-    """Show a warning in one line."""
-    click.echo(f"warning: {' '.join(str(message).split())}", err=True)
-
-
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
-    warnings.showwarning = _show_warning
+    warn_in_one_line()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is on the way is put on disk
     try:
         cli(standalone_mode=False)

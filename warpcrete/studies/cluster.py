@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import warp as wp
 
 from ..core.device import default_threads, find_device
-from ..core.errors import WarpcreteError, between, refuse
+from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.provenance import processor, provenance
 from ..core.viewer import LOOPBACK
@@ -292,6 +292,7 @@ def unnumbered(device: str | None) -> str | None:
 
 def dask_setup(worker: Any) -> None:
     """Called by Dask in a local worker, as it is preloaded: Ctrl-C is for the study to hear."""
+    warn_in_one_line()
     leave_to_parent()
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.device import default_threads
-from ..core.errors import WarpcreteError
+from ..core.errors import WarpcreteError, warn_in_one_line
 from ..core.files import read_json
 from ..core.folders import held
 from ..core.interrupts import StopAtSample, leave_to_parent
@@ -143,6 +143,7 @@ def _begin_worker(stop: Any) -> None:
     """A worker leaves Ctrl-C to its parent, which tells it through `stop`, and ends when its parent is gone."""
     global _stop_event
     _stop_event = stop
+    warn_in_one_line()
     leave_to_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
