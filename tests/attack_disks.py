@@ -1,10 +1,12 @@
 """Fill disks of twenty sizes under runs, give them room, and go on.
 
-By hand, as root: python tests/attack_disks.py [SCENE ...]. Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
-more room, --resume must complete the folder, with the bits of a run that always had room.
+By hand, as root: python tests/attack_disks.py [SCENE ...]. Each run writes into a tmpfs of its own. When that is full,
+the command must end within ten seconds with one line; with more room, --resume must complete the folder, with the bits
+of a run that always had room.
 """
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -31,7 +33,8 @@ CODE = (  # one that hangs shows where
 def command(*words: object) -> tuple[subprocess.CompletedProcess, float]:
     begun = time.monotonic()
     call = [sys.executable, "-c", CODE, "run", *map(str, words), "--quiet"]
-    done = subprocess.run(call, capture_output=True, text=True, timeout=300)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run(call, capture_output=True, text=True, timeout=300, env=environment)
     return done, time.monotonic() - begun
 
 

@@ -76,7 +76,9 @@ class Attack:
         self.took: dict[str, float] = {}
 
     def start(self, words: list[str]) -> subprocess.Popen:
-        environment = os.environ | {"TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark}
+        environment = os.environ | {
+            "PYTHONPATH": str(Path(__file__).parents[1]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
+        }  # fmt: skip
         return subprocess.Popen(
             [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
