@@ -1,8 +1,8 @@
 """Fill disks of twenty sizes under runs, give them room, and go on.
 
-By hand, as root: python tests/attack_disks.py [SCENE ...] [KIB ...]. Each run writes into a tmpfs of its own. When that is full,
-the command must end within ten seconds with one line; with more room, --resume must complete the folder, with the bits
-of a run that always had room.
+By hand, as root: python tests/attack_disks.py [SCENE ...] [KIB ...]. Each run writes into a tmpfs of its own. When that
+is full, the command must end within ten seconds with one line; with more room, --resume must complete the folder, with
+the bits of a run that always had room.
 """
 
 import json
