@@ -186,7 +186,7 @@ class Failing(Recorder):
         self.closed += 1
 
 
-@pytest.mark.parametrize("method", METHODS[1:])
+@pytest.mark.parametrize("method", METHODS)
 def test_a_recording_that_fails_costs_itself_alone(tmp_path, whole, method):
     failing = Failing(method, ValueError("no paint"))
     with pytest.warns(UserWarning, match="^Failing failed, the run goes on without it: no paint$") as told:

@@ -32,9 +32,9 @@ class Recording:
             self.active.append(recorder)
             state = states.get(kind_of(recorder))
             if state is None:
-                recorder.start(self.simulation)
+                self._call(recorder, "start")
             else:
-                recorder.resume(self.simulation, state)
+                self._call(recorder, "resume", state)
 
     def call(self, method: str, *arguments: Any) -> None:
         """Call a method of every recorder; an expendable one that fails is left out from then on, with a warning."""
