@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file, write_json
@@ -74,7 +74,7 @@ class TableRecorder(Recorder):
         self.claim(simulation)
         self._file = self._opened("w")
 
-    def _opened(self, mode: str) -> TextIO:
+    def _opened(self, mode: Literal["w", "a"]) -> TextIO:
         try:
             return self._series.open(mode, newline="")
         except OSError as error:
