@@ -5,6 +5,7 @@ import sys
 import time
 
 import numpy as np
+import psutil
 import trimesh
 
 from warpcrete.geometry.axis import Axis, Line
@@ -31,6 +32,13 @@ def command(*arguments, timeout=300, **options):
 def small_options(**changes):
     values = SMALL | changes
     return [text for name, value in values.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+
+
+def alive(process: psutil.Process) -> bool:
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def wait_until(condition, seconds: float) -> bool:

@@ -17,7 +17,7 @@ from test_study import BASE
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError, WarpcreteError
 from warpcrete.dem.simulation import ElementSimulation
-from warpcrete.studies.cluster import LOCAL, check_scheduler, slurm_cluster
+from warpcrete.studies.cluster import LOCAL, check_scheduler, local_cluster, slurm_cluster
 from warpcrete.studies.running import kept, run_cases, run_on_gpu
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
@@ -74,6 +74,17 @@ def test_workers_make_the_same_folders_and_bits(device, tmp_path):
     again = resume_study(study.folder, pipe_module, scheduler="local", workers=1)
     assert hashes(again) == hashes(alone) and again.failures == alone.failures
     assert all((study.folder / n / "result.json").stat().st_mtime_ns == t for n, t in kept.items())
+
+
+def test_a_local_cluster_listens_to_this_machine_alone():
+    """Scheduler, workers and their pages; and all of them end with the cluster."""
+    with local_cluster(1, "cpu"):
+        me = psutil.Process()
+        every = [me, *me.children(recursive=True)]
+        listening = {
+            c.laddr.ip for each in every for c in each.net_connections("inet") if c.status == psutil.CONN_LISTEN
+        }
+    assert listening == {"127.0.0.1"}
 
 
 def test_a_lost_worker_loses_no_case(tmp_path):

@@ -215,7 +215,7 @@ def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch)
     def refused(*given, **settings):
         raise AssertionError("is simulated again")
 
-    monkeypatch.setattr(line_run, "Simulation", refused)
+    monkeypatch.setattr(line_run, "part_simulation", refused)
     longer = line_of({"diameter": 0.125, "parts": [{"straight": 50}, *parts[1:]]})
     again = run_line(longer, concrete, flow, known=tmp_path / "line", out=tmp_path / "longer", cells=8, device=device)
     assert again.took == {} and not (tmp_path / "longer" / "parts").exists()
@@ -288,12 +288,14 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     path.write_text("diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n")
 
     def cut(*given, **settings):
-        (out / "parts").mkdir(parents=True)
+        (out / "parts").mkdir()
         raise KeyboardInterrupt
 
     monkeypatch.setattr("warpcrete.cli.line.run_line", cut)
     done = CliRunner().invoke(cli, ["line", str(path), "--out", str(out)])
-    assert done.exit_code == 130 and f"are taken by: warpcrete line {path} --known {out}" in done.output
+    assert done.exit_code == 130 and f"go on with the same command and --out {out}" in done.output
+    other = CliRunner().invoke(cli, ["line", str(path), "--out", str(out), "--cells", "10"])
+    assert "exists already, with another line that was cut" in str(other.exception)
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

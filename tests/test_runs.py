@@ -2,16 +2,21 @@
 
 import json
 import shutil
+import subprocess
 import sys
+import urllib.request
 
 import numpy as np
+import psutil
 import pytest
 from click.testing import CliRunner
+from pumping import alive, wait_until
 
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.run import viewer
+from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 
 
@@ -125,8 +130,39 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
         (tmp_path / name).write_bytes(b"")
     refused = CliRunner().invoke(cli, ["view", str(tmp_path)])
     assert "there is no screen here (DISPLAY is not set); --web" in str(refused.exception)
-    assert viewer(tmp_path, web=True)[2:] == [
-        "rerun", str(tmp_path / "run.rrd"), str(tmp_path / "run-001.rrd"), "--web-viewer",
-    ]  # fmt: skip
+    served = viewer(tmp_path, web=True)
+    place = served.command.index(str(tmp_path / "run.rrd"))
+    assert served.command[place + 1 :][:4] == [str(tmp_path / "run-001.rrd"), "--serve-web", "--bind", "127.0.0.1"]
+    assert served.address.startswith("http://127.0.0.1:") and {host for host, _ in served.listens} == {"127.0.0.1"}
+    for bind, words in (("no address", "must be an IP address"), ("203.0.113.1", "is no address of this machine")):
+        with pytest.raises(SceneError, match=f"^bind = '{bind}': {words}"):
+            viewer(tmp_path, web=True, bind=bind)
     monkeypatch.setenv("DISPLAY", ":0")
-    assert "--web-viewer" not in viewer(tmp_path)
+    command = viewer(tmp_path, bind="::1").command
+    assert "--serve-web" not in command and command[command.index("--bind") + 1] == "::1"
+
+
+def listeners(process: psutil.Process) -> set[str]:
+    """Addresses that a process and its children listen on."""
+    every = [process, *process.children(recursive=True)]
+    return {c.laddr.ip for each in every for c in each.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+
+
+@pytest.mark.thorough
+def test_a_recording_is_served_to_this_machine_alone(ran, tmp_path):
+    """One line with the address, nothing of the server's log; the server ends with the command."""
+    Simulation(ran.scene, device="cpu", threads=1, recorders=[RerunRecorder(tmp_path / "run.rrd")]).run()
+    code = "from warpcrete.cli import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-uc", code, "view", str(tmp_path), "--web"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True,
+    )  # fmt: skip
+    try:
+        address = process.stdout.readline().strip()
+        assert urllib.request.urlopen(address.partition("?")[0], timeout=10).status == 200
+        servers = psutil.Process(process.pid).children(recursive=True)
+        assert servers and listeners(psutil.Process(process.pid)) == {"127.0.0.1"}
+    finally:
+        process.kill()
+    assert process.communicate()[0] == ""
+    assert wait_until(lambda: not any(map(alive, servers)), 10)

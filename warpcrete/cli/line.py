@@ -8,11 +8,13 @@ from typing import Any
 import click
 
 from ..core.amounts import amount
-from ..core.files import check_new, next_folder
+from ..core.files import next_folder
 from ..core.progress import ProgressBar
+from ..core.provenance import fingerprint
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements
+from ..studies.line_folder import PARTS, line_folder
 from ..studies.line_result import LineResult, lines_of
 from ..studies.line_run import CELLS, LAYER_FACTOR, run_line
 from ..studies.lines import PipeLine, friction, read_line, restart, with_stone
@@ -51,27 +53,28 @@ def run(
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
+    asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": name, "flow": rate, "method": method,
+             "cells": cells, "elements": fingerprint(elements)}  # fmt: skip
     found, packed = None, None
     try:
-        if method == "dem" and folder is not None:
-            check_new(folder)
-        if method != "dem":
-            found = run_line(
-                given, concrete_of(name), rate, simulate=not theory,
-                cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
-                band=mix.band if mix is not None and layer_factor is None else None,
-                progress=None if quiet else progress, **where,
-            )  # fmt: skip
-        if method != "flow":
-            tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
-            packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
+        with line_folder(folder, asked):
+            if method != "dem":
+                found = run_line(
+                    given, concrete_of(name), rate, simulate=not theory,
+                    cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
+                    band=mix.band if mix is not None and layer_factor is None else None,
+                    progress=None if quiet else progress, **where,
+                )  # fmt: skip
+            if method != "flow":
+                tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
+                packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
+            _print(given, name, rate, found, packed, folder)
     except KeyboardInterrupt:
-        if folder is not None and (folder / "parts").is_dir():
-            click.echo(f"interrupted; parts that are finished are taken by: warpcrete line {line} --known {folder}")
+        if folder is not None and (folder / PARTS).is_dir():
+            click.echo(f"interrupted; go on with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
-    _print(given, name, rate, found, packed, folder)
     if moved:
         click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {moved[0]:.4g} bar on; "
                    f"{moved[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip

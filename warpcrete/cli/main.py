@@ -5,15 +5,19 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
-import subprocess
+import signal
+import threading
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import click
 
-from ..core.errors import InstabilityError, WarpcreteError
+from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, warn_in_one_line
 from .texts import MIX_HELP
+
+LAST_WORDS = 3.0
+"""Time that a command gets to end after a full disk was reported [s]."""
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
 
@@ -87,9 +91,10 @@ class LazyGroup(click.Group):
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
 @click.option("--resume", type=click.Path(path_type=Path), help="go on with the interrupted run of this folder")
 @click.option("--live", is_flag=False, flag_value="spawn", help="with --resume: watch, as for a scene")
+@click.option("--bind", default="127.0.0.1", help="with --live: as for a scene")
 @click.option("--quiet", is_flag=True, help="with --resume: no progress bar")
 @click.pass_context
-def run_group(context: click.Context, resume: Path | None, live: str | None, quiet: bool) -> None:
+def run_group(context: click.Context, resume: Path | None, live: str | None, bind: str, quiet: bool) -> None:
     """Run a scene: `warpcrete run SCENE [options]` (`slump --method dem` is `slump-dem`), repeat one: `warpcrete run
     RUN/scene.json`, or go on with an
     interrupted one: `warpcrete run --resume RUN`.
@@ -103,7 +108,7 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, qui
         click.echo(context.get_help())
         raise SystemExit(2)
     else:
-        _part("run").resume(resume, _scenes(), live=live, quiet=quiet)
+        _part("run").resume(resume, _scenes(), live=live, bind=bind, quiet=quiet)
 
 
 def _scene_command(name: str, module: ModuleType) -> click.Command:
@@ -127,10 +132,10 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
                 parameters = module.scene.meaningful(module.scene.resolved(parameters) | changes)
             job.run(name, module, parameters, settings)
             return
-        changed = [key for key in given if key not in ("resume", "quiet", "live")]
+        changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
         if changed:
             raise click.UsageError(f"resume = '{resume}': goes on as the run began; leave out {', '.join(changed)}")
-        job.resume(resume, _scenes(), live=settings["live"], quiet=settings["quiet"])
+        job.resume(resume, _scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
@@ -187,12 +192,18 @@ def theory(
 
 @cli.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--web", is_flag=True, help="in a browser; prints its address")
-def view_run(run: Path, web: bool) -> None:
+@click.option("--web", is_flag=True, help="in a browser, at the address that is printed, until Ctrl-C")
+@click.option("--bind", default="127.0.0.1", show_default=True, help="IP address to listen on: that of this machine "
+              "alone, or 0.0.0.0 for everybody who can reach it")  # fmt: skip
+def view_run(run: Path, web: bool, bind: str) -> None:
     """Open the recording of a run folder in the Rerun viewer."""
     from ..core.run import viewer
 
-    raise SystemExit(subprocess.call(viewer(run, web)))
+    opened = viewer(run, web, bind)
+    process = opened.start()
+    if web:
+        click.echo(opened.address)
+    raise SystemExit(process.wait())
 
 
 @cli.command("verify")
@@ -423,6 +434,8 @@ def explain_command(arguments: tuple[str, ...]) -> None:
 
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
+    warn_in_one_line()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is on the way is put on disk
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -441,6 +454,10 @@ def main() -> None:
         raise SystemExit(1) from None
     except WarpcreteError as error:
         click.echo(f"error: {error}", err=True)
+        if isinstance(error, DiskFullError):  # a library may wait for the disk when the program ends
+            end = threading.Timer(LAST_WORDS, os._exit, [2])
+            end.daemon = True
+            end.start()
         raise SystemExit(2) from None
     except OSError as error:
         click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)

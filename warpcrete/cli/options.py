@@ -118,6 +118,8 @@ def run_options() -> list[click.Parameter]:
         click.Option(["--threads"], type=click.IntRange(1, 1024), help="of a CPU run  [default: one a core]"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
                      help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
+        click.Option(["--bind"], default="127.0.0.1", show_default=True,
+                     help="IP address that a viewer of --live listens on"),
         click.Option(["--frames"], type=float,
                      help="recorded frames a simulated second, at most one a sample, or of flows one a step  [default: "
                      "25, and 30 in a run at least]"),

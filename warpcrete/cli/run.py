@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -10,17 +11,18 @@ import click
 
 from ..core.device import default_threads
 from ..core.errors import RunFolderError, between, positive, refuse
-from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.files import check_new, next_folder, read_json
 from ..core.interrupts import StopAtSample
 from ..core.method import report_of
 from ..core.parameters import declared_fields
 from ..core.progress import ProgressBar
-from ..core.run_loop import Run
+from ..core.run_loop import Recorder, Run
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
-from ..record.loading import repeatable_scene
+from ..record.loading import is_finished, repeatable_scene
 from ..record.recorders import RECORDERS, Look, recorders_of
+from ..record.run_folder import scene_record
 from ..studies.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
@@ -31,19 +33,13 @@ CHECK_FAILED = 3
 INTERRUPTED = 130
 
 
-def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bool) -> None:
+def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
     """Go on with an interrupted run, in its folder; `live` shows it from here on."""
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
     record, module = repeatable_scene(folder / "scene.json", modules)
-    if not (folder / "checkpoint.npz").is_file():
-        result = folder / "result.json"
-        if result.is_file() and read_json(result).get("finished"):
-            raise RunFolderError(f"resume = '{folder}': that run is finished")
-        raise RunFolderError(
-            f"resume = '{folder}': holds no checkpoint (the run was cut before its first one, or wrote none); "
-            f"start again with 'warpcrete run {folder / 'scene.json'}'"
-        )
+    if is_finished(folder):
+        raise RunFolderError(f"resume = '{folder}': that run is finished")
     settings = dict(record.get("command", {}))
     settings = {kind.name: False for kind in RECORDERS} | settings  # recorders that came after that run
     if set(settings) != set(KEPT):
@@ -57,21 +53,21 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, quiet: bo
                    "one that was never cut", err=True)  # fmt: skip
         settings["threads"] = default_threads()
     kept = {"device": record.get("device"), "precision": record.get("precision", "float32")}
-    run(
-        record["scene"], module, record["parameters"], settings | kept | {"out": folder, "live": live, "quiet": quiet},
-        going_on=True,
-    )  # fmt: skip
+    where = {"out": folder, "live": live, "bind": bind, "quiet": quiet}
+    run(record["scene"], module, record["parameters"], settings | kept | where, going_on=True)
 
 
 def run(
     name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
 ) -> None:
-    """Run a scene into a new folder; with `going_on`, from the checkpoint of the folder that is there.
+    """Run a scene into a new folder, or one of the same run that was cut; `going_on` says that it is there.
 
-    `settings` are the values of :func:`warpcrete.cli.options.run_options` by name.
+    A cut run goes on from its checkpoint, or begins anew where there is none. `settings` are the values of
+    :func:`warpcrete.cli.options.run_options` by name.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
-    if not going_on:
+    there = going_on or (folder / "scene.json").is_file()
+    if not there:
         check_new(folder)
     frames, every = settings["frames"], settings["checkpoint_every"]
     if frames is not None:
@@ -84,7 +80,7 @@ def run(
     other = _pipeline_checked(scene, settings)
     display = method_of(scene).display
     live = True if settings["live"] == "spawn" else settings["live"] or False
-    look = Look(settings["colour"], settings["network"], live)
+    look = Look(settings["colour"], settings["network"], live, settings["bind"])
     if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:
@@ -92,6 +88,7 @@ def run(
     settings = settings | {"threads": settings["threads"] or default_threads()}
     if settings["pipeline_other"] is not None:
         settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())
+    kept = {key: settings[key] for key in KEPT}
     progress = ProgressBar()
     checkpoint = folder / "checkpoint.npz"
     simulation = Simulation(
@@ -99,30 +96,33 @@ def run(
         device=settings["device"],
         precision=precision,
         threads=settings["threads"],
-        recorders=recorders_of(folder, module.check, settings, look, {key: settings[key] for key in KEPT}),
+        recorders=[
+            *recorders_of(folder, module.check, settings, look, kept, going_on=there),
+            PipelineRecorder(settings["pipeline_vertical"], settings["pipeline_horizontal"], other),
+        ],
         frame_interval=None if frames is None else 1.0 / frames,
         progress=False if settings["quiet"] else progress,
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
     )
+    if there and not going_on:
+        _check_same_run(folder, scene_record(simulation, kept))
     for line in scene.remarks:
         click.echo(f"note: {line}", err=True)
     try:
-        if going_on:
-            try:
-                simulation.resume(checkpoint)
-            except KeyboardInterrupt:
+        try:
+            simulation.begin(checkpoint if checkpoint.is_file() else None)
+        except KeyboardInterrupt:
+            if there:
                 raise RunFolderError(
                     f"resume = '{folder}': interrupted before the run went on; nothing changed"
                 ) from None
-        else:
-            simulation.prepare()
+            raise
         with StopAtSample([simulation]):
             done = simulation.run()
-            pipeline = _pipeline_report(done, settings, other)
     finally:
         progress.close()
-    report(done, pipeline)
+    report(done, pipeline_report(done, settings))
     if not done.finished:
         raise SystemExit(INTERRUPTED)
     if failed := failed_checks(done.result):
@@ -149,19 +149,43 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
     return other
 
 
-def _pipeline_report(run: Run, settings: dict[str, Any], other: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """The pressure of the pipeline as a line of the report, also kept in the run's result."""
-    height, distance = settings["pipeline_vertical"], settings["pipeline_horizontal"]
-    if height is None and distance is None:
+class PipelineRecorder(Recorder):
+    """Enter the pressure of a pipeline into the result of a finished run, before the table writes it."""
+
+    def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
+        self.height, self.distance, self.other = height, distance, other
+
+    def finish(self, simulation: Simulation, run: Run) -> None:
+        """Work it out from the plateau, if there is one."""
+        if run.finished and (self.height is not None or self.distance is not None):
+            estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
+            if estimate is not None:
+                run.result["pipeline_estimate"] = estimate
+
+
+def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the pressure of the pipeline as a line of the report."""
+    if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
-    estimate = pipeline_estimate(run, height or 0.0, distance or 0.0, other) if run.finished else None
-    if estimate is None:
+    if "pipeline_estimate" not in run.result:
         return [("pipeline, Eq. 13", "none: it goes by the plateau of a finished run")]
-    run.result["pipeline_estimate"] = estimate
-    if run.folder is not None:
-        write_json(run.folder / "result.json", run.result)
+    estimate = run.result["pipeline_estimate"]
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
+
+
+def _check_same_run(folder: Path, record: dict[str, Any]) -> None:
+    """Refuse a folder that is finished or of another run; one that was cut may be run again into its folder."""
+    if is_finished(folder):
+        check_new(folder)
+    there = read_json(folder / "scene.json")
+    here = json.loads(json.dumps(record))
+    for name in ("scene", "parameters", "device", "precision", "command"):
+        if there.get(name) != here[name]:
+            raise RunFolderError(
+                f"out = '{folder}': exists already, with another run (its {name} differs); choose a new folder, or go "
+                f"on with that run: warpcrete run --resume {folder}"
+            )
 
 
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:

@@ -9,6 +9,7 @@ import click
 from .. import verification
 from ..core.device import find_device
 from ..core.files import check_new
+from ..core.folders import new_folder
 from ..verification import extremes as edge
 from ..verification import flow_extremes
 from ..verification.figure import draw
@@ -42,9 +43,9 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
         text += f"\n{edge.table(outcomes)}\n{flow_extremes.table(flows)}"
     click.echo("\n" + text)
     if out is not None:
-        out.mkdir(parents=True)
-        (out / "verification.md").write_text(text)
-        draw(results).savefig(out / "verification.png", dpi=110)
+        with new_folder(out):
+            (out / "verification.md").write_text(text)
+            draw(results).savefig(out / "verification.png", dpi=110)
         click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")
     if failed:
         click.echo(f"FAILED: {failed} answers are off")

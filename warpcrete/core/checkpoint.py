@@ -17,7 +17,7 @@ from .files import partial_of, whole_file
 from .fingerprints import fingerprint
 from .provenance import processor, versions
 
-FORMAT = 6
+FORMAT = 7
 
 
 def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import warnings
 from typing import Any, NoReturn
 
 import numpy as np
@@ -22,6 +24,10 @@ class DeviceError(WarpcreteError):
 
 class RunFolderError(WarpcreteError):
     """A run folder, or a file of one, cannot be created, read or written."""
+
+
+class DiskFullError(RunFolderError):
+    """A file could not be written because the disk, a quota or a limit of the process takes no more."""
 
 
 class InstabilityError(WarpcreteError):
@@ -52,6 +58,15 @@ class ConvergenceError(InstabilityError):
 
 class CapacityError(WarpcreteError):
     """A list of fixed size was too short and could not be grown."""
+
+
+def warn_in_one_line() -> None:
+    """Show the warnings of this process as lines on stderr, without the places in the code that they come from."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+    warnings.showwarning = show
 
 
 def refuse(field: str, value: Any, allowed: str, hint: str = "") -> NoReturn:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -10,7 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from .errors import RunFolderError
+from .errors import DiskFullError, RunFolderError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers of a disk, a quota or a limit of the process that takes no more."""
+PARTIAL = "partial-"
+"""Begins the name of a file that is not whole yet."""
+PROBE = 1 << 16
+"""Bytes that must fit into a folder that has room."""
+MARGIN = 1 << 20
+"""Bytes that must be left beside a file that may be needed."""
 
 
 @contextmanager
@@ -32,13 +44,41 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 def partial_of(path: Path) -> Path:
     """Where a file is written to before it is whole."""
-    return path.with_name(f"partial-{path.name}")
+    return path.with_name(f"{PARTIAL}{path.name}")
 
 
 def cannot_write(path: Path, error: Exception) -> RunFolderError:
-    """The error of a file that cannot be written."""
-    reason = getattr(error, "strerror", None) or " ".join(str(error).split()) or type(error).__name__
-    return RunFolderError(f"'{path}': cannot be written ({reason}); what is on disk so far is kept")
+    """Return the error of a file that cannot be written: a :class:`DiskFullError` where there is no room for it.
+
+    Libraries that write files themselves do not say why they failed; the folder then shows whether it has room.
+    """
+    known = isinstance(error, OSError) and error.errno is not None
+    needed = MARGIN + (2 * path.stat().st_size if path.exists() else 0)
+    cause = error if known else room_in(path.parent, needed) or error
+    reason = getattr(cause, "strerror", None) or " ".join(str(cause).split()) or type(cause).__name__
+    kind = DiskFullError if is_full(cause) else RunFolderError
+    return kind(f"'{path}': cannot be written ({reason}); what is on disk so far is kept")
+
+
+def is_full(error: BaseException) -> bool:
+    """Return whether a disk that takes no more caused an error."""
+    return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
+
+
+def room_in(folder: Path, needed: int = 0) -> OSError | None:
+    """Return what the system refuses a small file in a folder with, or one of `needed` bytes; None where it fits."""
+    probe = partial_of(folder / "probe")
+    try:
+        with probe.open("wb") as file:
+            file.write(bytes(PROBE))
+            if shutil.disk_usage(folder).free < needed:
+                return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as error:
+        return error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+    return None
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -75,7 +115,7 @@ def check_new(folder: Path) -> None:
         there = folder.exists() or folder.is_symlink()
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be a folder ({error.strerror})") from error
-    if there:
+    if there and not is_empty(folder):
         raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
     made: list[Path] = []
     probe = folder / "probe"
@@ -93,6 +133,21 @@ def check_new(folder: Path) -> None:
         for path in reversed(made):
             with suppress(OSError):
                 path.rmdir()
+
+
+LOCK = ".lock"
+"""File in a folder that its owner holds locked while it writes there."""
+
+
+def is_empty(folder: Path) -> bool:
+    """Return whether a folder holds nothing but what a killed process may leave before its first file is whole."""
+    return folder.is_dir() and all(path.name == LOCK or path.name.startswith(PARTIAL) for path in folder.iterdir())
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove files that a killed process did not write to their ends."""
+    for path in folder.glob(f"{PARTIAL}*"):
+        path.unlink(missing_ok=True)
 
 
 def next_folder(name: str, root: Path = Path("runs")) -> Path:

@@ -1,4 +1,5 @@
-"""Ctrl-C: put off until a piece of work is whole, or taken as the wish that runs end at their next sample."""
+"""Ctrl-C, and SIGTERM where the program takes it as such: put off until a piece of work is whole, or taken as the wish
+that runs end at their next sample."""
 
 from __future__ import annotations
 
@@ -7,6 +8,13 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def _handled() -> list[tuple[int, Any]]:
+    """Return the signals that a Python function handles, and that function."""
+    return [(number, found) for number in SIGNALS if callable(found := signal.getsignal(number))]
 
 
 def _in_main_thread() -> bool:
@@ -21,16 +29,17 @@ def put_off() -> Iterator[None]:
         yield
         return
     caught: list[tuple] = []
-    before = signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
+    before = _handled()
+    for number, _ in before:
+        signal.signal(number, lambda *arguments: caught.append(arguments))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-        if caught:
-            if callable(before):
-                before(*caught[0])
-            elif before != signal.SIG_IGN:
-                raise KeyboardInterrupt
+        for number, handler in before:
+            signal.signal(number, handler)
+        for number, handler in before:
+            if caught and caught[0][0] == number:
+                handler(*caught[0])
 
 
 class StopAtSample:
@@ -41,11 +50,13 @@ class StopAtSample:
 
     def __init__(self, simulations: Sequence[Any]) -> None:
         self.simulations, self.asked = simulations, False
-        self._previous: Any = None
+        self._previous: list[tuple[int, Any]] = []
 
     def __enter__(self) -> StopAtSample:
         if _in_main_thread():
-            self._previous = signal.signal(signal.SIGINT, self._stop)
+            self._previous = _handled()
+            for number, _ in self._previous:
+                signal.signal(number, self._stop)
         return self
 
     def _stop(self, signum: int, frame: Any) -> None:
@@ -60,7 +71,8 @@ class StopAtSample:
 
     def __exit__(self, *unused: Any) -> None:
         if _in_main_thread():
-            signal.signal(signal.SIGINT, self._previous)
+            for number, handler in self._previous:
+                signal.signal(number, handler)
 
 
 def leave_to_parent() -> None:

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import functools
 import math
-import os
-import tempfile
-import threading
 import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
@@ -158,7 +155,7 @@ def load(stages: Iterable[Any], device: Any) -> None:
                 module, block = left.popleft()
             except IndexError:
                 return
-            _load(module, device, block)
+            wp.load_module(module, device=device, block_dim=block)
             if (tell := _told.get()) is not None and time.monotonic() - begun > PATIENCE:
                 told = True
                 tell("compiling", 1.0 - len(left) / count)
@@ -181,66 +178,9 @@ def _compilers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(COMPILING)
 
 
-def _flags(module: Any) -> str:
-    """A module's own flags for a CPU's compiler."""
-    return module.options.get("cpu_compiler_flags") or ""
-
-
 def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
-    """Modules and their blocks: one of each flags, so that their headers are compiled at the same time, then the rest;
-    what has most parameters, and so takes longest, goes first.
-    """
-    rest = sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
-    heads = list({_flags(each[0]): each for each in reversed(rest)}.values())
-    return [*heads, *(each for each in rest if not any(each is head for head in heads))]
-
-
-class _Headers:
-    """Warp's headers of C++ as compiled with the same flags, shared by all threads.
-
-    Warp has a folder for each thread, so that no two write one file, and so each compiles them anew, which takes as
-    long as five kernels. Here each flags have a folder, and who comes first compiles alone.
-    """
-
-    def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="warpcrete_headers_")
-        self._first, self._compiled = threading.Lock(), False
-
-    @contextmanager
-    def used(self) -> Iterator[None]:
-        """Have this thread use them, alone as long as they are not compiled."""
-        known = wp._src.context.runtime._pch_dirs  # pyright: ignore[reportAttributeAccessIssue]
-        thread = threading.get_ident()
-        before = known.get(thread)
-        with ExitStack() as stack:
-            if not self._compiled:
-                stack.enter_context(self._first)
-            known[thread] = self._folder
-            try:
-                yield
-                # What came from the cache has compiled none.
-                self._compiled = self._compiled or bool(os.listdir(self._folder.name))
-            finally:
-                if before is None:
-                    del known[thread]
-                else:
-                    known[thread] = before
-
-
-_headers: dict[str, _Headers] = {}
-_making_headers = threading.Lock()
-
-
-def _load(module: Any, device: Any, block: int) -> None:
-    """Compile a module, or read it from the cache."""
-    runtime = wp._src.context.runtime  # pyright: ignore[reportAttributeAccessIssue]
-    if parallel(device) or not isinstance(getattr(runtime, "_pch_dirs", None), dict):  # where Warp has changed
-        wp.load_module(module, device=device, block_dim=block)
-        return
-    with _making_headers:
-        headers = _headers.setdefault(_flags(module), _Headers())
-    with headers.used():
-        wp.load_module(module, device=device, block_dim=block)
+    """Return modules and their blocks, those with most parameters first: they take longest to compile."""
+    return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
 Step = list[list[Any]]

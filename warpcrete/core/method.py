@@ -104,7 +104,7 @@ def run_in_turn(
             if simulation.stop_requested:
                 raise KeyboardInterrupt
             if checkpoint is not None:
-                simulation.resume(checkpoint)
+                simulation.begin(checkpoint)
             outcomes.append(simulation.run())
         except (Exception, KeyboardInterrupt) as error:
             outcomes.append(error)

@@ -11,8 +11,13 @@ if TYPE_CHECKING:
 class Recorder:
     """Where a run goes; subclasses override what they need.
 
-    Methods are called in this order; `finish` also after an interruption or an error.
+    Methods are called in this order; `finish` and `close` also after an interruption or an error. What `start`,
+    `sample` or any other method raises ends the run, unless the recorder is `expendable`.
     """
+
+    expendable: ClassVar[bool] = False
+    """The run goes on without this recorder when it fails, with a warning. A full disk ends the run all the same: it
+    can be resumed when there is room, and then nothing is missing."""
 
     rows_alone: ClassVar[bool] = False
     """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
@@ -20,6 +25,12 @@ class Recorder:
     draws_alone: ClassVar[bool] = False
     """Its `frame` draws by the display, and reads no row: that of this moment may come later. The class that defines
     `frame` says so."""
+
+    def claim(self, simulation: Any) -> None:
+        """Take what only one run may have, before any work is done."""
+
+    def abandon(self, simulation: Any) -> None:
+        """Give back what `claim` took: the run never began."""
 
     def start(self, simulation: Any) -> None:
         """The run is about to begin."""
@@ -38,14 +49,21 @@ class Recorder:
         """A picture is due."""
 
     def checkpoint(self, simulation: Any) -> dict[str, Any]:
-        """Put on disk what is there so far; returns what `resume` will need."""
+        """Return what `resume` will need to go on from this moment; `write` follows when the state is on disk."""
         return {}
 
+    def write(self, simulation: Any) -> None:
+        """Put on disk what there is so far, at a checkpoint."""
+
     def finish(self, simulation: Any, run: Run) -> None:
-        """The run has ended: put everything on disk. The last recorder finishes first."""
+        """Put everything on disk: the run has ended. The last recorder finishes first, expendable ones after all
+        others."""
 
     def tidy(self, simulation: Any, run: Run) -> None:
-        """The run is complete and its checkpoint gone: what only a resumed run needs may go."""
+        """Remove or join what only a resumed run needs: the run is complete."""
+
+    def close(self, simulation: Any) -> None:
+        """Let go of everything, whatever came of the run."""
 
 
 def says(kind: type[Recorder], method: str, name: str) -> bool:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import os
 import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from .errors import RunFolderError, WarpcreteError, refuse
 from .html import html_table
 from .units import number, shown
+from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 COURSES = ("pressure", "spread", "front", "inside")
 """Columns of which the first that a series has is what its plot shows."""
@@ -118,14 +117,20 @@ class Run:
         figure.suptitle(f"{self.scene.name}: {', '.join(map(_words, columns))}", fontsize=10)
         return figure
 
-    def view(self, web: bool = False) -> subprocess.Popen[bytes]:
-        """Open the recording of the run's folder in Rerun's viewer, or with `web` in a browser, and go on.
+    def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
+        """Open the recording of the run's folder in Rerun's viewer and go on.
 
-        Raises :class:`RunFolderError` if there is none, or no screen.
+        With `web` a server shows it in a browser, at the address that is printed, as long as this program runs; `bind`
+        is the IP address that it listens on, by default that of this machine alone. Raises :class:`RunFolderError` if
+        there is no recording, or no screen.
         """
         if self.folder is None:
             raise RunFolderError("the run has no folder: 'warpcrete run SCENE --out FOLDER' makes one with a recording")
-        return subprocess.Popen(viewer(self.folder, web))
+        opened = viewer(self.folder, web, bind)
+        process = opened.start()
+        if web:
+            print(opened.address)
+        return process
 
     def _repr_html_(self) -> str:
         """Its quantities as a table, for notebooks."""
@@ -156,20 +161,20 @@ def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) 
     return found
 
 
-def viewer(run: Path, web: bool = False) -> list[str]:
-    """Command that opens a run folder's recording, or the recording `run`, in Rerun's viewer, or in a browser.
+def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
+    """Return Rerun's viewer of a run folder's recording, or of the recording `run`, on the screen or in a browser.
 
     Raises :class:`RunFolderError` if there is none, or no screen.
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
         raise RunFolderError(f"'{run}': holds no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
-    if not web and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not web and not has_screen():
         raise RunFolderError(f"'{run}': there is no screen here (DISPLAY is not set); --web serves it to a browser, "
                              f"and {recording} opens on any machine with 'rerun {recording.name}'")  # fmt: skip
     # An unfinished run lies in parts; they are one recording to the viewer.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
-    return [sys.executable, "-m", "rerun", str(recording), *map(str, parts), *(["--web-viewer"] if web else [])]
+    return (web_viewer if web else screen_viewer)([recording, *parts], bind)
 
 
 def _words(column: str) -> str:

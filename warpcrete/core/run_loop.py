@@ -9,6 +9,7 @@ import time as wall_clock
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -19,10 +20,12 @@ from . import checkpoint
 from .device import checked_threads, find_device, scalar_of
 from .display import Display
 from .errors import InstabilityError, RunFolderError, WarpcreteError, between, refuse
+from .files import is_full
 from .frames import Frames
 from .launching import telling
 from .progress import ProgressBar
 from .recorder import Recorder, says
+from .recording import Recording, full_disk
 from .run import Run
 
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -54,9 +57,10 @@ class Simulation:
     the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames,
     None for as many as :class:`warpcrete.core.frames.Frames` says; `progress` True for a bar, or a callback;
     `checkpoint_path` of a file that is written at the start, then every `checkpoint_every` seconds of wall time (0: at
-    every sample) and at an interruption, and removed at the end.
+    every sample), at an interruption and at the end, and removed when everything else is on disk.
     Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
-    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`.
+    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`, and :class:`DiskFullError`
+    when the disk takes no more.
     """
 
     scene_type: ClassVar[type]
@@ -109,6 +113,7 @@ class Simulation:
         scalar_of(self.precision)
         self.threads = checked_threads(threads)
         self.recorders = list(recorders)
+        self._recording = Recording(self, self.recorders)
         self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
         self.stop_requested = False
         self.finishing = False
@@ -116,7 +121,11 @@ class Simulation:
             ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
         )
         self._spent: dict[str, float] = {}
-        self._ran = False
+        self._ran = self._over = False
+        self._saved = wall_clock.perf_counter()  # when the last checkpoint was written or read
+        self.goes_on = False
+        """The run goes on from a checkpoint, in the folder that is there."""
+        self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
         self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
         self._samples = 0  # rows after the one at t = 0
         self.sampled = 0.0, 0
@@ -211,15 +220,26 @@ class Simulation:
     # Checkpoints.
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint of the state as it is now, recorders included."""
+        """Write a checkpoint of the state as it is now, then what recorders have so far."""
+        self._save_state(path)
+        if self._ran:
+            self._recording.call("write")
+
+    def _save_state(self, path: Path) -> None:
         contents = self.state_dict()
+        recorders, full = self._recording.states() if self._ran else ({}, [])
         contents["run"] = {
-            "recorders": {_kind(r): r.checkpoint(self) for r in self.recorders} if self._ran else {},
+            "recorders": recorders,
             "samples": self._samples,
             "next_frame": self.frames.next,
             "spent": self._spent | {"running": self._running()},
+            "over": self._over,
         }
         checkpoint.write(path, self.scene, self.device, self.precision, contents)
+        self._kept = self.stepper.time if self._ran else 0.0
+        self._saved = wall_clock.perf_counter()
+        if full:
+            raise full[0]
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
@@ -236,9 +256,35 @@ class Simulation:
         self._samples, self.frames.next = run["samples"], run["next_frame"]
         self._spent = run["spent"]
         self._ran_before = self._spent["running"]
+        self._over = run["over"]
+        self.goes_on, self._saved = True, wall_clock.perf_counter()
         return contents
 
     # The run.
+
+    def begin(self, path: Path | None = None) -> None:
+        """Do everything up to t = 0, or up to the checkpoint at `path`, once recorders have their folders."""
+        self.goes_on = path is not None
+        try:
+            self.claim()
+            if path is None:
+                self.prepare()
+            else:
+                self.resume(path)
+        except BaseException:
+            self.abandon()
+            raise
+
+    def claim(self) -> None:
+        """Have recorders take what only one run may have, such as its folder."""
+        for recorder in self.recorders:
+            recorder.claim(self)
+
+    def abandon(self) -> None:
+        """Give back what `claim` took, unless the run has begun."""
+        if not self._ran:
+            for recorder in self.recorders:
+                recorder.abandon(self)
 
     def run(self) -> Run:
         """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
@@ -246,29 +292,32 @@ class Simulation:
             raise WarpcreteError("this simulation has run; make a new Simulation for another run")
         with telling(self.tell):
             if not self.prepared:
-                self.prepare()
+                self.begin()
             return drive_alone(self.running(), self.stepper.advance)
 
     def running(self) -> Coroutine:
         """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
         self._ran = True
+        self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
-        begun: list[Recorder] = []
+        if self._resumed is not None:
+            self._kept = self.stepper.time
         finished = interrupted = False
+        full: list[Exception] = []  # disk
         try:
             try:
-                for recorder in self.recorders:
-                    begun.append(recorder)
-                    state = (self._resumed or {}).get("recorders", {}).get(_kind(recorder))
-                    if state is None:
-                        recorder.start(self)
-                    else:
-                        recorder.resume(self, state)
+                if not self.rows:  # nothing may cost the state at t = 0, which took packing and settling
+                    self._checkpoint()
+                self._recording.begin((self._resumed or {}).get("recorders", {}))
                 finished = yield from self._loop()
             except KeyboardInterrupt:
                 interrupted = True
+            except Exception as error:
+                if not is_full(error):
+                    raise
+                full.append(error)
         finally:
-            failures: list[Exception] = []
+            failures = self._recording.failures
             try:
                 self._complete()
             except KeyboardInterrupt:
@@ -279,35 +328,45 @@ class Simulation:
                 failures.append(error)
             self._spent["running"] = self._running()
             self.finishing = True
-            run = self.result(finished)
-            run.interrupted = interrupted
-            run.finished = run.result["finished"] = run.finished and not failures
-            for recorder in reversed(begun):
-                try:
-                    recorder.finish(self, run)
-                except Exception as error:  # one broken output must not cost the others
-                    failures.append(error)
-                    run.finished = run.result["finished"] = False
-            if finished and not failures:
-                if self.checkpoint_path is not None:
-                    checkpoint.remove(self.checkpoint_path)
-                for recorder in begun:
-                    recorder.tidy(self, run)
-            if isinstance(self._progress, ProgressBar):
-                self._progress.close()
+            run = self._end(finished, interrupted)
+        if full := [*full, *filter(is_full, failures)]:
+            raise full_disk(full, self._kept) from full[0]
         if failures:
             raise failures[0]
         return run
 
+    def _end(self, finished: bool, interrupted: bool) -> Run:
+        """Put everything on disk, what matters most first; the checkpoint goes when nothing else is missing."""
+        recording, path = self._recording, self.checkpoint_path
+        if finished and path is not None:
+            self._over = True
+            # Without it, a run that is killed from here on repeats what came after the last checkpoint.
+            with suppress(OSError, RunFolderError):
+                self._save_state(path)
+        run = self.result(finished)
+        run.interrupted = interrupted
+        run.finished = run.result["finished"] = run.finished and not recording.failures
+        recording.finish(run)
+        if run.finished:
+            recording.tidy(run)
+        if finished and not run.finished and self._kept is None:
+            recording.call_off()
+        if run.finished and path is not None:
+            checkpoint.remove(path)
+        recording.close()
+        if isinstance(self._progress, ProgressBar):
+            self._progress.close()
+        return run
+
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
+        if self._over:
+            self.ended_early()  # which says how it ended
+            return True
         if not self.rows:
             self.sampled = stepper.time, stepper.steps
             self._sample()
             self._frame()
-            self._checkpoint()
-        else:
-            self._saved = wall_clock.perf_counter()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
         for number in range(self._samples + 1, samples + 1):
             if self.stop_requested:
@@ -333,8 +392,8 @@ class Simulation:
                 self._frame()
             if ended:
                 return True
-            if number < samples and wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
-                self._checkpoint()
+            if number < samples:
+                self._checkpoint_if_due()
             self._tell_of(row, number / samples)
         return True
 
@@ -361,8 +420,7 @@ class Simulation:
 
     def _sample(self) -> dict[str, float]:
         row = self.measure()
-        for recorder in self.recorders:
-            recorder.sample(self, row)
+        self._recording.call("sample", row)
         self.watch_row(row)
         return row
 
@@ -371,18 +429,22 @@ class Simulation:
         self.tell("running", fraction, steps_per_s=self.sampled[1] / max(self._running(), 1e-9), **pressure)
 
     def _frame(self) -> None:
-        for recorder in self.recorders:
-            recorder.frame(self)
+        self._recording.call("frame")
         self.frames.taken(self.stepper.time)
 
     def _checkpoint(self) -> None:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            # A full disk must not end the run; the checkpoint before is still there.
-            except (OSError, RunFolderError) as error:
+            except RunFolderError as error:  # the one before is still there
+                if is_full(error):
+                    raise
                 warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
         self._saved = wall_clock.perf_counter()
+
+    def _checkpoint_if_due(self) -> None:
+        if wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
+            self._checkpoint()
 
     def _running(self) -> float:
         return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
@@ -405,7 +467,3 @@ def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
                 goal = next(coroutine)
     except StopIteration as end:
         return end.value
-
-
-def _kind(recorder: Recorder) -> str:
-    return type(recorder).__name__

@@ -38,8 +38,12 @@ def run_batch(
     `KeyboardInterrupt` for those that had not begun. `progress` is called with a phase and the fraction done.
     """
     tell = progress or (lambda phase, fraction: None)
-    with telling(tell):
-        return _run_batch(simulations, checkpoints or [None] * len(simulations), tell)
+    try:
+        with telling(tell):
+            return _run_batch(simulations, checkpoints or [None] * len(simulations), tell)
+    finally:
+        for simulation in simulations:
+            simulation.abandon()
 
 
 def _run_batch(
@@ -48,14 +52,20 @@ def _run_batch(
     tell: Callable[[str, float], None],
 ) -> list[Outcome]:
     outcomes: dict[int, Outcome] = {}
+    for number, simulation in enumerate(simulations):
+        try:
+            simulation.claim()
+        except WarpcreteError as error:
+            outcomes[number] = error
+    claimed = [(n, s, c) for n, (s, c) in enumerate(zip(simulations, checkpoints)) if n not in outcomes]
     try:
-        new = [s for s, c in zip(simulations, checkpoints) if c is None]
+        new = [simulation for _, simulation, path in claimed if path is None]
         packings = _packed(new, lambda fraction: tell("packing", fraction))
     except KeyboardInterrupt as stop:
         return [stop] * len(simulations)
     placed: dict[int, tuple[Any, float]] = {}
     groups: dict[Any, list[int]] = {}
-    for number, (simulation, path) in enumerate(zip(simulations, checkpoints)):
+    for number, simulation, path in claimed:
         if path is None and simulation.scene.fill is not None:
             placed[number] = packings[_packing_key(simulation)]
             if isinstance(placed[number][0], BaseException):
@@ -173,7 +183,7 @@ class _Part:
     def _whole_run(self, number: int) -> Coroutine:
         simulation = self.simulations[number]
         if number in self.resumed:
-            simulation.go_on(self.resumed[number])
+            yield from simulation.going_on(self.resumed[number])
         else:
             yield from simulation.preparing()
         return (yield from simulation.running())

@@ -66,6 +66,7 @@ class ElementSimulation(Simulation):
         """The model."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
+        self._settled: int | None = None  # parts of the settling that are done; None at and after t = 0
         self.rested: float | None = None
         """Travel of the piston at which the concrete stood [m]; None before."""
 
@@ -123,24 +124,26 @@ class ElementSimulation(Simulation):
     def join(self, stepper: Stepper) -> None:
         """Take the stepper that will carry the state, alone or in a batch."""
         self.stepper = stepper
-        settling = self.scene.settle is not None and self._resumed is None
+        settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
         stepper.change(local_damping=damping)
 
     def preparing(self) -> Coroutine:
-        """From placed bodies to t = 0."""
+        """Go from placed bodies, or from a checkpoint of their settling, to t = 0."""
         scene, model = self.scene, self.model
-        first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
-        for number, (group, bonds) in enumerate(scene.group_bonds.items()):
-            self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
-        self.stepper.choose_dt()  # refuses an unstable fixed step before anything is written
+        if self._settled is None:
+            first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
+            for number, (group, bonds) in enumerate(scene.group_bonds.items()):
+                self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
+            self.stepper.choose_dt()  # refuses an unstable fixed step before anything is written
 
-        started = wall_clock.perf_counter()
+        started = wall_clock.perf_counter() - self._spent.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
             with self._walls_held():
                 yield from self._settling(scene.settle.duration)
             self.stepper.change(local_damping=scene.local_damping)
         self._spent["settling"] = wall_clock.perf_counter() - started
+        self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
             # Contacts that healed while settling carry its loads: all of the scene's bonds start anew at t = 0.
@@ -161,9 +164,17 @@ class ElementSimulation(Simulation):
             self.stepper.change(held=0)
 
     def _settling(self, duration: float) -> Coroutine:
-        for part in range(SETTLING_PARTS):
+        before, begun = self._spent.get("settling", 0.0), wall_clock.perf_counter()
+        if self._settled is None:
+            self._settled = 0
+            self._checkpoint()
+        for part in range(self._settled, SETTLING_PARTS):
+            self._settled = part
+            self._spent["settling"] = before + wall_clock.perf_counter() - begun
             if self.stop_requested:
+                self._checkpoint()
                 raise KeyboardInterrupt
+            self._checkpoint_if_due()
             yield Until(duration * (part + 1) / SETTLING_PARTS)
             self.tell("settling", (part + 1) / SETTLING_PARTS)
             kinetic = body_sums(self.model, self.state).kinetic_energy
@@ -197,15 +208,19 @@ class ElementSimulation(Simulation):
     # Checkpoints.
 
     def state_dict(self) -> dict[str, Any]:
-        """State, stepper, sampler, watch and packing."""
+        """State, stepper and packing; and the parts of the settling that are done, or sampler and watch."""
         self.stepper.batch.device_changed()
-        return {
+        found = {
             "state": state_dict(self.state),
             "stepper": self.stepper.state_dict(),
+            "packing": asdict(self.packing) if self.packing else None,
+        }
+        if self._settled is not None:
+            return found | {"settled": self._settled}
+        return found | {
             "sampler": self.sampler.state_dict(),
             "watch": self.watch.state_dict(),
             "blockage": self.blockage.state_dict() if self.blockage is not None else None,
-            "packing": asdict(self.packing) if self.packing else None,
             **({"rested": self.rested} if self.scene.rest is not None else {}),
         }
 
@@ -214,19 +229,25 @@ class ElementSimulation(Simulation):
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)
-        self.go_on(state)
+        drive_alone(self.going_on(state), stepper.advance)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """The arrays of a `state_dict`; `join` and `go_on` complete a resumption."""
+        """Make the arrays of a `state_dict`; `join` and `going_on` complete a resumption."""
         self.state = restored(self.model, state["state"])
+        self._settled = state.get("settled")
 
     def _memory(self) -> float:
         """What the run holds on the device [B]; of a batch, what falls to its spheres."""
         batch = self.stepper.batch
         return footprint(stepper=self.stepper)["stepper"] * self.state.sphere_count / max(batch.sphere_count, 1)
 
-    def go_on(self, state: dict[str, Any]) -> None:
-        """Sampler, watch and packing of a `state_dict`."""
+    def going_on(self, state: dict[str, Any]) -> Coroutine:
+        """Take packing, sampler and watch of a `state_dict`; or settle further, and begin those at t = 0."""
+        if state["packing"] is not None:
+            self.packing = PackingReport(**state["packing"])
+        if self._settled is not None:
+            yield from self.preparing()
+            return
         self._begin()
         self.sampler.load_state_dict(state["sampler"])
         self.watch.load_state_dict(state["watch"])
@@ -235,8 +256,6 @@ class ElementSimulation(Simulation):
             self.stepper.wear_from(self.rested)
         if self.blockage is not None:
             self.blockage.load_state_dict(state["blockage"])
-        if state["packing"] is not None:
-            self.packing = PackingReport(**state["packing"])
 
     def release(self) -> None:
         """Let go of the device's memory; the run's results stay."""

@@ -156,10 +156,8 @@ class _Run:
     def begin(self, abreast: int) -> None:
         """Up to where it wants to take steps. Raises :class:`CapacityError` if the device has no room for it now."""
         simulation = self.simulation
-        if self.checkpoint is not None:
-            simulation.resume(self.checkpoint)
-        elif not simulation.prepared:
-            simulation.prepare()
+        if self.checkpoint is not None or not simulation.prepared:
+            simulation.begin(self.checkpoint)
         self._flow.share(abreast)
         self._coroutine = simulation.running()
         self._go_on(None)

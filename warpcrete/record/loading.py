@@ -55,6 +55,12 @@ def load(folder: Path | str) -> Run:
     return Run(scene, series, units, result, bool(result.get("finished")), folder=folder, tables=tables)
 
 
+def is_finished(folder: Path) -> bool:
+    """Return whether a run folder is complete: its run went to the end, and nothing is left to be written."""
+    result = folder / "result.json"
+    return result.is_file() and not (folder / "checkpoint.npz").is_file() and bool(read_json(result).get("finished"))
+
+
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Contents of a scene.json, and the module of its scene."""
     record = read_json(path)

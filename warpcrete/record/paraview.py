@@ -6,13 +6,14 @@ The format is that of VTK 9.3 and later, version 2.0 of its specification, as `P
 from __future__ import annotations
 
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..core.errors import RunFolderError, WarpcreteError
-from ..core.files import whole_file
+from ..core.errors import WarpcreteError
+from ..core.files import cannot_write, whole_file
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 from ..geometry.rotation import rotate
@@ -32,6 +33,7 @@ class ParaViewRecorder(Recorder):
     """
 
     draws_alone = True
+    expendable = True
 
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         try:
@@ -46,6 +48,11 @@ class ParaViewRecorder(Recorder):
         """What is drawn, and the walls."""
         self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._walls = self._display.walls()
+        self._open()
+        for file in self._files.values():  # of a run that was cut before its first checkpoint
+            file.path.unlink(missing_ok=True)
+
+    def _open(self) -> None:
         self._files["bodies"] = Poly(self.folder / "bodies.vtkhdf", "Vertices")
         if self._walls:
             self._files["walls"] = Poly(self.folder / "walls.vtkhdf", "Polygons")
@@ -53,9 +60,14 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Take out what came after the checkpoint."""
-        self.start(simulation)
-        self._frames = state["frames"]
+        """Take out what came after the checkpoint, and what only some of the files have."""
+        self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        self._walls = self._display.walls()
+        self._open()
+        self._frames = min(state["frames"], *(file.count() for file in self._files.values()))
+        if self._frames < state["frames"]:
+            lost = state["frames"] - self._frames
+            warnings.warn(f"'{self.folder}': {lost} frames for ParaView are missing or damaged", stacklevel=2)
         for file in self._files.values():
             file.shorten(self._frames)
 
@@ -98,10 +110,13 @@ class ParaViewRecorder(Recorder):
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Write what waits."""
+        """Return the number of frames."""
         self._later.wait()
-        self._write()
         return {"frames": self._frames}
+
+    def write(self, simulation: Simulation) -> None:
+        """Write what waits."""
+        self._write()
 
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Write the rest."""
@@ -136,10 +151,13 @@ class Poly:
         with whole_file(self.path) as partial:
             if self.path.is_file():
                 shutil.copyfile(self.path, partial)
-            with h5py.File(partial, "a") as file:
-                root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
-                for step in self._waiting:
-                    self._append(root, *step)
+            try:
+                with h5py.File(partial, "a") as file:
+                    root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
+                    for step in self._waiting:
+                        self._append(root, *step)
+            except RuntimeError as error:  # h5py closes a file that does not fit with one
+                raise cannot_write(self.path, error) from error
         self._waiting = []
 
     def _begin(self, file: Any) -> Any:
@@ -192,6 +210,16 @@ class Poly:
         _extend(root["Points"], points)
         steps.attrs["NSteps"] = np.int64(len(steps["Values"]))
 
+    def count(self) -> int:
+        """Return the number of steps in the file; 0 where it is missing or damaged."""
+        import h5py
+
+        try:
+            with h5py.File(self.path, "r") as file:
+                return int(file["VTKHDF/Steps"].attrs["NSteps"])
+        except (KeyError, OSError):
+            return 0
+
     def shorten(self, count: int) -> None:
         """Keep so many steps."""
         import h5py
@@ -199,22 +227,16 @@ class Poly:
         if count == 0:
             self.path.unlink(missing_ok=True)
             return
-        try:
-            with whole_file(self.path) as partial:
-                shutil.copyfile(self.path, partial)
-                with h5py.File(partial, "a") as file:
-                    _cut(file["VTKHDF"], count)
-        except (RunFolderError, KeyError, OSError) as error:
-            raise RunFolderError(f"'{self.path}': is missing or damaged; the run cannot be resumed") from error
+        with whole_file(self.path) as partial:
+            shutil.copyfile(self.path, partial)
+            with h5py.File(partial, "a") as file:
+                _cut(file["VTKHDF"], count)
 
 
 def _cut(root: Any, count: int) -> None:
     """Leave the first steps."""
     steps = root["Steps"]
-    there = int(steps.attrs["NSteps"])
-    if there < count:
-        raise KeyError("Steps")
-    if there == count:
+    if int(steps.attrs["NSteps"]) == count:
         return
     points, cells = int(steps["PointOffsets"][count]), steps["CellOffsets"][count]
     ids = steps["ConnectivityIdOffsets"][count]

@@ -12,6 +12,8 @@ from ..methods import method_of
 class PictureRecorder(Recorder):
     """Writes the pictures that the run's method draws into `folder`, when the run ends."""
 
+    expendable = True
+
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         self.folder, self.colouring = folder, colouring
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.run_loop import Recorder
+from ..core.viewer import LOOPBACK
 from .checks import Check, CheckRecorder
 from .paraview import ParaViewRecorder
 from .picture import PictureRecorder
@@ -25,6 +26,8 @@ class Look:
     network: bool = False
     live: bool | str = False
     """Shown in a Rerun viewer while it runs: True opens one, or the URL of one that runs."""
+    bind: str = LOOPBACK
+    """IP address that a viewer that is opened listens on."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Kind:
 
 RECORDERS = (
     Kind("rerun", True, "write run.rrd", lambda folder, look: RerunRecorder(
-        folder / "run.rrd", live=look.live, colouring=look.colouring, network=look.network)),
+        folder / "run.rrd", live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)),
     Kind("usd", True, "write scene.usdc", lambda folder, look: UsdRecorder(
         folder / "scene.usdc", colouring=look.colouring, velocities=False)),
     Kind("paraview", False, "write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
@@ -55,14 +58,19 @@ def recorders_of(
     chosen: Mapping[str, Any],
     look: Look | None = None,
     command: dict[str, Any] | None = None,
+    *,
+    going_on: bool = False,
 ) -> list[Recorder]:
     """Recorders of a run folder: table, checks and picture always, of the others those with a true entry in `chosen`.
 
-    `check` is the scene's; `command` are settings to keep for a resumed run.
+    `check` is the scene's; `command` are settings to keep for a resumed run; `going_on` takes the folder of the same
+    run, which was cut.
     """
     look = look or Look()
-    found: list[Recorder] = [TableRecorder(folder, command), CheckRecorder(check)]
+    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on), CheckRecorder(check)]
     found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):
-        found.append(RerunRecorder(None, live=look.live, colouring=look.colouring, network=look.network))
+        found.append(
+            RerunRecorder(None, live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)
+        )
     return [*found, PictureRecorder(folder, colouring=look.colouring)]

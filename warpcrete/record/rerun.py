@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import atexit
-import subprocess
+import os
 import sys
 import threading
 import time
@@ -16,14 +16,19 @@ import numpy as np
 
 from ..core.display import Display, Profile
 from ..core.errors import RunFolderError, refuse
-from ..core.files import cannot_write
+from ..core.files import cannot_write, room_in
 from ..core.later import Later
 from ..core.paint import STEPS, Paint
 from ..core.run_loop import Recorder, Run, Simulation
+from ..core.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
+from .joining import join
 from .legend import legend, paint_legend
 
-FLUSH_TIME = 10.0  # [s] that a viewer, or the writer of a file that does not grow, gets to take the rest
+PATIENCE = 4.0
+"""Time that a viewer, or the writer of a file that does not grow, gets to take the rest [s]."""
+LOOK = 0.5
+"""Time between two looks at whether the file has grown [s]."""
 AXIS = (200, 200, 200)
 MARGIN = 512
 """Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
@@ -44,9 +49,9 @@ class RerunRecorder(Recorder):
     a view of the inside.
 
     Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
-    (`rerun+http://127.0.0.1:9876/proxy`); `colouring` of bodies, one of those that the method's display has; `network`
-    also draws lines between bodies, where the display has any: contacts as wide and bright as the force that they
-    carry; bonds that do not press are orange.
+    (`rerun+http://127.0.0.1:9876/proxy`); `bind` the IP address that an opened one listens on; `colouring` of bodies,
+    one of those that the method's display has; `network` also draws lines between bodies, where the display has any:
+    contacts as wide and bright as the force that they carry; bonds that do not press are orange.
 
     Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
     resumed goes on after a whole part. At the end they become one file.
@@ -54,14 +59,27 @@ class RerunRecorder(Recorder):
 
     rows_alone = True
     draws_alone = True
+    expendable = True
 
     def __init__(
-        self, path: Path | None, *, live: bool | str = False, colouring: str | None = None, network: bool = False
+        self,
+        path: Path | None,
+        *,
+        live: bool | str = False,
+        bind: str = LOOPBACK,
+        colouring: str | None = None,
+        network: bool = False,
     ) -> None:
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
+        self._bind = bind
+        if live is True and not has_screen():
+            refuse("live", live, "there is no screen here (DISPLAY is not set)",
+                   "give the URL of a viewer that runs elsewhere, or 'warpcrete view --web' the folder")  # fmt: skip
         self._recording: Any = None
         self._later = Later(beside=False)
         self._display: Display | None = None
+        # Its log would go to the terminal, line by line; what fails is told by the calls.
+        os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
         self._rr = rr
@@ -73,6 +91,9 @@ class RerunRecorder(Recorder):
 
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, send the blueprint and everything that does not change."""
+        if self.path is not None:
+            for path in self._later_parts(0):  # of a run that was cut before its first checkpoint
+                path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
@@ -81,9 +102,10 @@ class RerunRecorder(Recorder):
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Drop the parts after the checkpoint and open the next."""
         if self.path is not None:
-            for number in range(state["parts"]):
-                if not self._part(number).is_file():
-                    raise RunFolderError(f"'{self._part(number)}': is missing; the run cannot be resumed")
+            if not self.path.is_file():
+                warnings.warn(f"'{self.path}': is missing; the recording begins anew", stacklevel=2)
+                self.start(simulation)
+                return
             for path in self._later_parts(state["parts"]):
                 path.unlink()
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
@@ -95,13 +117,20 @@ class RerunRecorder(Recorder):
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Close the part and open the next."""
+        """Return what the next part goes on from."""
         self._later.wait()
+        following = self._parts + (self.path is not None)
+        return {"recording_id": self._id, "parts": following, "places": self._places}
+
+    def write(self, simulation: Simulation) -> None:
+        """Close the part and open the next."""
         if self.path is not None:
             self._flush()
             self._parts += 1
-            self._recording.set_sinks(*self._sinks())
-        return {"recording_id": self._id, "parts": self._parts, "places": self._places}
+            try:
+                self._recording.set_sinks(*self._sinks())
+            except RuntimeError as error:
+                raise self._trouble(error) from error
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Curves at one row."""
@@ -213,14 +242,15 @@ class RerunRecorder(Recorder):
                 self._later.close()
                 self._flush()
             except BaseException:
-                self._give_up()
+                self._disconnect(LOOK)
                 raise
-            self._recording.disconnect()
+            if not self._disconnect(PATIENCE):
+                raise self._trouble(RuntimeError("the writer does not end"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Make one file of the parts."""
         if self.path is not None and self._parts > 0:
-            self._join()
+            join([self._part(number) for number in range(self._parts + 1)], self.path)
 
     def _describe(self, display: Display) -> None:
         """Everything that does not change."""
@@ -288,7 +318,10 @@ class RerunRecorder(Recorder):
         self._tensors: dict[int, Any] = {}  # of bars, by their number
         self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
         if self.live is True:
-            rr.spawn(connect=False, recording=self._recording)
+            opened = screen_viewer(bind=self._bind)
+            opened.start()
+            print(f"live: {opened.address}", file=sys.stderr)
+            self.live = opened.address
         try:
             self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
         except RuntimeError as error:
@@ -298,31 +331,36 @@ class RerunRecorder(Recorder):
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def _flush(self) -> None:
-        size = -1
+        """Wait until the file, and a viewer, have everything."""
+        size, since = -1, time.monotonic()
         while True:
-            begun = time.monotonic()
             try:
-                self._recording.flush(timeout_sec=FLUSH_TIME)
+                self._recording.flush(timeout_sec=LOOK)
                 return
             except (RuntimeError, ValueError) as error:
-                if self.live:
-                    trouble = error
-                    break
-                # A writer that met a full disk may never answer; one that is slow lets its file grow.
+                trouble = error
+                time.sleep(0.05)  # a writer that has died answers at once
+            # A writer that met a full disk may never answer; one that is slow lets its file grow.
+            if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
-                if time.monotonic() - begun < 0.9 * FLUSH_TIME or size == before:
-                    raise self._trouble(error) from error
+                if size != before:
+                    since = time.monotonic()
+            if time.monotonic() - since > PATIENCE or (self.path is not None and room_in(self.path.parent)):
+                break
+        if not self.live:
+            raise self._trouble(trouble) from trouble
         # A viewer that is not there must not hold up the run; the file has everything.
         warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
         self.live = False
 
-    def _give_up(self) -> None:
-        """Close, but do not wait for a writer that never answers, here or when the program ends."""
+    def _disconnect(self, patience: float) -> bool:
+        """Close, but do not wait long for a writer that never answers, here or when the program ends."""
         closing = threading.Thread(target=self._recording.disconnect, daemon=True)
         closing.start()
-        closing.join(FLUSH_TIME)
+        closing.join(patience)
         if closing.is_alive():
             atexit.unregister(self._rr.rerun_shutdown)
+        return not closing.is_alive()
 
     def _sinks(self) -> list[Any]:
         rr = self._rr
@@ -330,7 +368,7 @@ class RerunRecorder(Recorder):
         if self.path is not None:
             sinks.append(rr.FileSink(str(self._part(self._parts))))
         if self.live:
-            sinks.append(rr.GrpcSink() if self.live is True else rr.GrpcSink(str(self.live)))
+            sinks.append(rr.GrpcSink(str(self.live)))
         return sinks
 
     def _part(self, number: int) -> Path:
@@ -342,19 +380,3 @@ class RerunRecorder(Recorder):
         numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
         later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]
         return ([self.path] if first == 0 else []) + later
-
-    def _join(self) -> None:
-        """One file of all parts, by Rerun's own tool."""
-        assert self.path is not None
-        parts = [self._part(number) for number in range(self._parts + 1)]
-        partial = self.path.with_name("partial-" + self.path.name)
-        command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(partial)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode != 0 or not partial.is_file():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            warnings.warn(f"the parts of {self.path} stay apart, joining them failed: {last}", stacklevel=2)
-            partial.unlink(missing_ok=True)
-            return
-        partial.replace(self.path)
-        for path in parts[1:]:
-            path.unlink()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
-from ..core.files import cannot_write, check_new, whole_file, write_json
+from ..core.files import cannot_write, whole_file, write_json
+from ..core.folders import Hold, make_folder
 from ..core.origin import Arguments, changed_fields, readable
 from ..core.provenance import provenance
 from ..core.run import Table
@@ -36,16 +38,18 @@ def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) 
 
 
 class TableRecorder(Recorder):
-    """Makes the folder; writes scene.json at the start, series.csv row by row, result.json at the end.
+    """Make the folder and hold it; write scene.json at the start, series.csv row by row, result.json at checkpoints
+    and at the end.
 
     Rows are flushed as they come, so an interrupted or killed run keeps all that it sampled. `command` are settings
-    to keep in scene.json for a resumed run.
+    to keep in scene.json for a resumed run. With `going_on` the folder is that of the same run, which was cut.
     """
 
     rows_alone = True
 
-    def __init__(self, folder: Path, command: dict[str, Any] | None = None) -> None:
-        self.folder, self.command = folder, command
+    def __init__(self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False) -> None:
+        self.folder, self.command, self.going_on = folder, command, going_on
+        self._hold: Hold | None = None
         self._file: TextIO | None = None
         self._writer: Any = None
 
@@ -53,25 +57,45 @@ class TableRecorder(Recorder):
     def _series(self) -> Path:
         return self.folder / "series.csv"
 
-    def start(self, simulation: Simulation) -> None:
-        """Create the folder and scene.json."""
-        check_new(self.folder)
+    def claim(self, simulation: Simulation) -> None:
+        """Make the folder with scene.json, or take over that of the run that was cut; hold it."""
+        if self._hold is not None:
+            return
+        if (self.going_on or simulation.goes_on) and self.folder.is_dir():
+            self._hold = Hold(self.folder)
+            return
         record = scene_record(simulation, self.command)
-        try:
-            self.folder.mkdir(parents=True)
-        except OSError as error:
-            raise RunFolderError(f"out = '{self.folder}': cannot be made ({error.strerror})") from error
+        self._hold = make_folder(self.folder)
         write_json(self.folder / "scene.json", record)
-        self._file = self._series.open("w", newline="")
+
+    def abandon(self, simulation: Simulation) -> None:
+        """Remove the folder if it is new and holds no state that the run could go on from."""
+        if self._hold is not None and self._hold.made and not (self.folder / "checkpoint.npz").exists():
+            with suppress(OSError):
+                (self.folder / "scene.json").unlink(missing_ok=True)
+            self._hold.remove()
+        self.close(simulation)
+
+    def start(self, simulation: Simulation) -> None:
+        """Begin series.csv, in the folder made by `claim`."""
+        self.claim(simulation)
+        self._file = self._opened("w")
+
+    def _opened(self, mode: Literal["w", "a"]) -> TextIO:
+        try:
+            return self._series.open(mode, newline="")
+        except OSError as error:
+            raise cannot_write(self._series, error) from error
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Write series.csv as it was at the checkpoint, which holds every row."""
+        self.claim(simulation)
         with whole_file(self._series) as partial:
             self._file = partial.open("w", newline="")
             for row in simulation.rows:
                 self._write(simulation, row)
             self._file.close()
-        self._file = self._series.open("a", newline="")
+        self._file = self._opened("a")
         if self._writer is not None:
             self._writer = csv.writer(self._file)
 
@@ -90,19 +114,30 @@ class TableRecorder(Recorder):
             self._writer.writerow([f"{name} [{simulation.unit(name)}]" for name in row])
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
 
+    def write(self, simulation: Simulation) -> None:
+        """Write result.json of an unfinished run; rows are on disk already."""
+        write_json(self.folder / "result.json", simulation.result(False).result)
+
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Close series.csv and write result.json."""
+        """Write result.json and close series.csv."""
         if self._file is None:
             return
         run.folder = self.folder
         try:
-            self._file.close()
-        except OSError as error:
-            raise cannot_write(self._series, error) from error
-        finally:
             write_json(self.folder / "result.json", run.result)
+        finally:
+            try:
+                self._file.close()
+            except OSError as error:
+                raise cannot_write(self._series, error) from error
         for name, table in run.tables.items():
             _write_table(self.folder / f"{name}.csv", table)
+
+    def close(self, simulation: Simulation) -> None:
+        """Let others have the folder."""
+        if self._hold is not None:
+            self._hold.release()
+            self._hold = None
 
 
 def _write_table(path: Path, table: Table) -> None:

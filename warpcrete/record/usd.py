@@ -8,13 +8,13 @@ Rigid bodies are one point instancer with a prototype for each shape, particles 
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..core.display import Display, DrawnWall, RigidBodies
-from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file
 from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
@@ -31,6 +31,7 @@ class UsdRecorder(Recorder):
     """
 
     draws_alone = True
+    expendable = True
 
     def __init__(self, path: Path, *, colouring: str | None = None, velocities: bool = True) -> None:
         self.path, self.colouring, self.velocities = path, colouring, velocities
@@ -51,8 +52,10 @@ class UsdRecorder(Recorder):
 
         try:
             layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
-        except Tf.ErrorException as error:
-            raise RunFolderError(f"'{self.path}': is missing or damaged; the run cannot be resumed") from error
+        except Tf.ErrorException:
+            warnings.warn(f"'{self.path}': is missing or damaged; it begins anew", stacklevel=2)
+            self.start(simulation)
+            return
         self._first, self._last = state["first"], state["last"]
 
         paths: list[Any] = []
@@ -166,10 +169,13 @@ class UsdRecorder(Recorder):
                 self._write()
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Write the file as it is so far."""
+        """Return the times of the first and the last frame."""
         self._later.wait()
-        self._write()
         return {"first": self._first, "last": self._last}
+
+    def write(self, simulation: Simulation) -> None:
+        """Write the file as it is so far."""
+        self._write()
 
     def _write(self) -> None:
         from pxr import Tf
@@ -184,7 +190,7 @@ class UsdRecorder(Recorder):
             except Tf.ErrorException as error:
                 raise cannot_write(self.path, error) from error
             if not written:
-                raise RunFolderError(f"'{self.path}': cannot be written; what is on disk so far is kept")
+                raise cannot_write(self.path, OSError("the library does not say why"))
 
 
 class _Instances:

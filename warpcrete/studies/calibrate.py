@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from ..core.device import find_device
 from ..core.errors import RunFolderError, WarpcreteError, between, refuse
 from ..core.extras import needs_extra
 from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.folders import held, new_folder
 from ..core.origin import check_files, files_read
 from ..record.checks import failed_checks
 from ..scenes import modules
@@ -91,9 +93,11 @@ def run_calibration(
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
-    out.mkdir(parents=True)
-    write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": [], "files": files})
-    return _go_on(out, modules, processes, scheduler, workers, progress)
+    if scheduler is None:
+        find_device(device)
+    with new_folder(out):
+        write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": [], "files": files})
+        return _go_on(out, modules, processes, scheduler, workers, progress)
 
 
 def resume_calibration(
@@ -108,12 +112,14 @@ def resume_calibration(
 ) -> Calibration:
     """Go on with a calibration; runs that are there are used. `trials` is a new bound for all of them together."""
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
-    record = _record(folder)
     if trials is not None:
         _check_trials(trials)
-        record["settings"]["trials"] = trials
-        write_json(folder / RECORD, record)
-    return _go_on(folder, modules, processes, scheduler, workers, progress)
+    with held(folder):
+        record = _record(folder)
+        if trials is not None:
+            record["settings"]["trials"] = trials
+            write_json(folder / RECORD, record)
+        return _go_on(folder, modules, processes, scheduler, workers, progress)
 
 
 def _check_trials(most: int) -> None:

@@ -22,16 +22,17 @@ from typing import Any, TypeVar
 import warp as wp
 
 from ..core.device import default_threads, find_device
-from ..core.errors import WarpcreteError, between, refuse
+from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.provenance import processor, provenance
+from ..core.viewer import LOOPBACK
 from .cases import Case
 from .running import Book, kept, run_cases
 
 SCHEDULERS = ("local", "slurm")
 """What can be started; anything else is the address of one that runs."""
-LOCAL = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
-"""Of a scheduler for one machine: nobody else can reach it."""
+LOCAL = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
+"""Options of a scheduler for one machine: nobody else can reach it."""
 LOOK = 1.0
 """From one question whether to stop to the next [s]."""
 CONNECT = 20.0
@@ -261,7 +262,9 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         "nthreads": 1,
         "memory_limit": 0,
         "silence_logs": logging.CRITICAL,
+        "host": LOOPBACK,
         "dashboard": False,
+        "dashboard_address": f"{LOOPBACK}:0",
         "preload": [__name__],
     }
     return SpecCluster(
@@ -306,6 +309,7 @@ def unnumbered(device: str | None) -> str | None:
 
 def dask_setup(worker: Any) -> None:
     """Called by Dask in a local worker, as it is preloaded: Ctrl-C is for the study to hear."""
+    warn_in_one_line()
     leave_to_parent()
 
 

@@ -18,14 +18,14 @@ import numpy as np
 from ..core.errors import between, refuse
 from ..core.files import write_json
 from ..core.method import Method
-from ..core.run_loop import Recorder, Run
+from ..core.run_loop import Run
 from ..core.units import number, quantity
-from ..methods import Simulation, method_of
-from ..record.checks import CheckRecorder, failed_checks
+from ..methods import method_of
+from ..record.checks import failed_checks
 from ..record.loading import load
-from ..record.run_folder import TableRecorder
 from ..scenes import modules
-from .line_run import GRAVITY, folder_name, free_folder, known_folder
+from .line_folder import known_run, part_simulation
+from .line_run import GRAVITY, folder_name
 from .lines import Part, PipeLine
 
 SCENE = "part-dem"
@@ -211,8 +211,8 @@ def run_elements(
     """Pressure that a `line` needs at a `flow` [m3/s] of a `concrete`, by its name or file, by discrete elements.
 
     Each kind of part is simulated without weight, all of them side by side where the device does that; runs go into
-    `out`, and those in `known`, the folder of an earlier line, are taken. Raises :class:`SceneError` for settings that
-    make no scene, and the error of the first run that ended in one.
+    `out`, where those that were cut go on, and those in `known`, the folder of an earlier line, are taken. Raises
+    :class:`SceneError` for settings that make no scene, and the error of the first run that ended in one.
     """
     elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():
@@ -227,7 +227,7 @@ def run_elements(
     new = []
     for key, seed, scene in jobs:
         mesh = kinds[key].mesh
-        folder = None if known is None else known_folder(known / "parts", scene, mesh.digest if mesh else "")
+        folder = known_run((out, known), scene, mesh.digest if mesh else "")
         if folder is None:
             new.append((key, seed, scene))
         else:
@@ -305,16 +305,19 @@ def _simulate(
     out: Path | None, device: str | None, threads: int | None, progress: Callable[[str, float], None] | None,
 ) -> dict[str, float]:  # fmt: skip
     """Run what is not there yet, enter it in `runs`, and return how long each took [s]."""
-    simulations = []
+    simulations, checkpoints = [], []
     for key, seed, scene in jobs:
-        recorders: list[Recorder] = [CheckRecorder(modules()[SCENE].check)]
-        if out is not None:
-            recorders.insert(0, TableRecorder(free_folder(out / "parts" / _called(key, kinds[key], seed))))
-        simulations.append(Simulation(scene, device=device, threads=threads, recorders=recorders))
+        part = kinds[key]
+        simulation, checkpoint = part_simulation(
+            scene, modules()[SCENE].check, out, _called(key, part, seed), part.mesh.digest if part.mesh else "",
+            device=device, threads=threads,
+        )  # fmt: skip
+        simulations.append(simulation)
+        checkpoints.append(checkpoint)
     if not simulations:
         return {}
     method: Method = method_of(simulations[0].scene)
-    outcomes = method.run_many(simulations, [None] * len(simulations), progress or (lambda phase, fraction: None))
+    outcomes = method.run_many(simulations, checkpoints, progress or (lambda phase, fraction: None))
     took = {}
     for (key, seed, _), outcome in zip(jobs, outcomes, strict=True):
         if isinstance(outcome, BaseException):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,14 +9,12 @@ from typing import Any
 
 from ..core.errors import between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
-from ..core.run_loop import Recorder
 from ..core.units import number
-from ..methods import Simulation
 from ..mps.mixes import CONSTANTS
-from ..record.checks import CheckRecorder, failed_checks
-from ..record.run_folder import TableRecorder
+from ..record.checks import failed_checks
 from ..scenes import modules
 from ..theory.pipe import Concrete
+from .line_folder import ASKED, known_run, part_simulation
 from .line_result import LineResult, Loss, draw, lines_of
 from .lines import Part, PipeLine, friction, layered
 
@@ -54,14 +51,15 @@ def run_line(
     Each kind of part is simulated once, without weight, `cells` across its bore: straight pipe as an endless one, bends
     and reducers between straight stretches, of which they get what the part loses beyond them; without `simulate` the
     closed form stands for all. The band of the pressure is that of a slip layer off by `layer_factor`, or of the two
-    concretes of `band`, which a mix has. Runs go into the new folder `out`; of the same scene, those in `known`, the
-    folder of an earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or settings that make
-    no scene.
+    concretes of `band`, which a mix has. Runs go into the new folder `out`, or one that
+    :func:`warpcrete.studies.line_folder.line_folder` holds, where runs that were cut go on; of the same scene, those in
+    `known`, the folder of an earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or
+    settings that make no scene.
     """
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
     between("cells", cells, 8, math.inf)
-    if out is not None:
+    if out is not None and not (out / ASKED).is_file():
         check_new(out)
     if known is not None and not (known / "parts").is_dir():
         refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
@@ -79,14 +77,16 @@ def run_line(
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
         called = folder_name(part) + ("" if part.by_length else f"-cells-{cells}")
-        folder = (
-            None if known is None else known_folder(known / "parts", scenes[key], part.mesh.digest if part.mesh else "")
-        )
+        digest = part.mesh.digest if part.mesh else ""
+        folder = known_run((out, known), scenes[key], digest)
         result = None if folder is None else read_json(folder / "result.json")
         if result is None:
-            recorders: list[Recorder] = [] if out is None else [TableRecorder(free_folder(out / "parts" / called))]
-            recorders.append(CheckRecorder(modules()[cases[key][0]].check))
-            run = Simulation(scenes[key], device=device, threads=threads, recorders=recorders, progress=hear).run()
+            simulation, checkpoint = part_simulation(
+                scenes[key], modules()[cases[key][0]].check, out, called, digest, device=device, threads=threads,
+                progress=hear,
+            )  # fmt: skip
+            simulation.begin(checkpoint)
+            run = simulation.run()
             if not run.finished:
                 raise KeyboardInterrupt
             result = run.result
@@ -141,31 +141,6 @@ def folder_name(part: Part) -> str:
         return f"bore-{1e3 * part.diameter:g}-{1e3 * part.outlet:g}-{part.length:g}-{part.mesh.digest}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
     return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
-
-
-def known_folder(folder: Path, scene: Any, digest: str = "") -> Path | None:
-    """Of a finished run of that very scene in a folder of runs; a mesh file is known by its `digest` in the name."""
-    for here in sorted(folder.iterdir()):
-        if digest not in here.name:
-            continue
-        record = here / "scene.json"
-        if record.is_file() and (here / "result.json").is_file():
-            there = read_json(record)
-            same = there.get("parameters") == json.loads(json.dumps(dict(scene.parameters)))
-            files = scene.parameters.files
-            same = same and "modified" not in there and there.get("files", files) == files
-            if same and read_json(here / "result.json").get("finished"):
-                return here
-    return None
-
-
-def free_folder(folder: Path) -> Path:
-    """The folder, or one with a number behind where two kinds of part round to the same name."""
-    count, free = 1, folder
-    while free.exists():
-        count += 1
-        free = folder.with_name(f"{folder.name}-{count}")
-    return free
 
 
 def _write(result: LineResult, out: Path) -> None:

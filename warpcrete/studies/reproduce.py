@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.device import find_device
 from ..core.errors import RunFolderError, one_of, refuse
-from ..core.files import check_new, read_json, write_json
+from ..core.files import read_json, write_json
+from ..core.folders import held, new_folder
 from ..scenes import modules
 from .cases import Case
 from .papers import CONCRETES, OPEN, UNITS, UNITS_ROW, ZHAN, overrides, rows_of, xu_cases, zhan_case
@@ -52,18 +54,23 @@ def reproduce(
     taken: dict[str, Any] = {}
     for folder in known:
         taken |= _results(folder, paper, quick)
-    check_new(out)
-    out.mkdir(parents=True)
-    write_json(out / KNOWN, taken)
+    find_device(device)
     record = {"paper": paper, "quick": quick, "seeds": seeds, "device": device, "columns": columns, "rows": rows}
-    write_json(out / RECORD, record)
-    return resume_reproduction(out, processes=processes, progress=progress)
+    with new_folder(out):
+        write_json(out / KNOWN, taken)
+        write_json(out / RECORD, record)
+        return _go_on(out, processes, progress)
 
 
 def resume_reproduction(
     folder: Path, *, processes: int | None = None, progress: Progress | None = None
 ) -> Reproduction:
     """Go on with a reproduction: runs that are finished are used."""
+    with held(folder):
+        return _go_on(folder, processes, progress)
+
+
+def _go_on(folder: Path, processes: int | None, progress: Progress | None) -> Reproduction:
     record = read_json(folder / RECORD)
     found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
                          tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 from ..core.device import default_threads
 from ..core.errors import WarpcreteError
 from ..core.files import read_json
+from ..core.folders import held
 from ..core.interrupts import StopAtSample
 from ..core.origin import check_files
 from ..core.run_loop import Run
@@ -42,7 +43,7 @@ def simulation_of(
         device=record["device"],
         precision=record.get("precision"),
         threads=record.get("threads", 1),
-        recorders=recorders_of(here, module.check, command),
+        recorders=recorders_of(here, module.check, command, going_on=here.is_dir()),
         frame_interval=1.0 / command["frames"] if command["frames"] else None,
         progress=tell,
         checkpoint_path=checkpoint if every else None,
@@ -189,5 +190,6 @@ def kept(folder: Path) -> Any:
     """The same; a case that was cut before its first checkpoint is cleared away."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
-        shutil.rmtree(folder)
+        with held(folder):
+            shutil.rmtree(folder)
     return found

@@ -19,6 +19,7 @@ import numpy as np
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.folders import held, new_folder
 from ..core.html import html_table
 from ..core.method import Quantity
 from ..core.origin import check_files, check_named
@@ -272,21 +273,21 @@ def run_listed(
             found, made_by = str(here), provenance(here, precision, seed)
         else:
             found, made_by = cluster.machine(device, precision, seed)
-        out.mkdir(parents=True)
-        write_json(
-            out / "study.json",
-            {
-                "scene": scene_name,
-                "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
-                "files": files,
-                "device": found,
-                "precision": precision,
-                "figure": figure,
-                "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
-                "provenance": made_by,
-            },
-        )
-        return _go_on(out, module, processes, cluster, progress)
+        with new_folder(out):
+            write_json(
+                out / "study.json",
+                {
+                    "scene": scene_name,
+                    "cases": [{"name": c.name, "varied": c.varied, "parameters": c.parameters} for c in cases],
+                    "files": files,
+                    "device": found,
+                    "precision": precision,
+                    "figure": figure,
+                    "command": {"frames": frames, "checkpoint_every": checkpoint_every, **recorders},
+                    "provenance": made_by,
+                },
+            )
+            return _go_on(out, module, processes, cluster, progress)
 
 
 def resume_study(
@@ -307,7 +308,7 @@ def resume_study(
     check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
     device = unnumbered(record.get("device"))
-    with open_cluster(scheduler, workers, device) as cluster:
+    with held(folder), open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
 

@@ -18,6 +18,7 @@ from typing import Any
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.folders import held, new_folder
 from ..core.origin import check_files, check_named
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
@@ -107,21 +108,21 @@ def run_trade(
         else:
             cluster.hardware(device)
             found, made_by = cluster.ask(_machine_of, module.__name__, parameters, cluster.device(device), threads)
-        out.mkdir(parents=True)
-        record = {
-            "scene": scene_name,
-            "parameters": parameters,
-            "files": scene.parameters.files,
-            "quantities": chosen,
-            "knobs": list(knobs or all_knobs),
-            "repeat": (repeat or 3) if seeded else 1,
-            "seeded": seeded,
-            "device": found,
-            "threads": threads or default_threads(),
-            "provenance": made_by,
-        }
-        write_json(out / "trade.json", record)
-        return _go_on(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
+        with new_folder(out):
+            record = {
+                "scene": scene_name,
+                "parameters": parameters,
+                "files": scene.parameters.files,
+                "quantities": chosen,
+                "knobs": list(knobs or all_knobs),
+                "repeat": (repeat or 3) if seeded else 1,
+                "seeded": seeded,
+                "device": found,
+                "threads": threads or default_threads(),
+                "provenance": made_by,
+            }
+            write_json(out / "trade.json", record)
+            return _go_on(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
 
 
 def _machine(
@@ -178,7 +179,7 @@ def resume_trade(
     # Of GPUs all that there are, as with a study.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
-    with open_cluster(scheduler, workers, device, trade.threads) as cluster:
+    with held(folder), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(f"'{folder}': holds times of {trade.hardware}, workers have {here}; they do not mix")
         return _go_on(trade, budget, cluster, progress)

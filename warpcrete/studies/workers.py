@@ -19,7 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from ..core.errors import WarpcreteError
+from ..core.errors import WarpcreteError, warn_in_one_line
 
 # Ctrl-C is for the parent to hear, from the first moment on: it says what is to be done.
 BOOT = """\
@@ -134,6 +134,7 @@ def serve() -> None:
     """Run the jobs that come on standard input, and answer on standard output, until the parent has gone."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever is printed must not get among the answers
+    warn_in_one_line()
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()

@@ -1,0 +1,211 @@
+"""Kill commands at random moments, then go on with them: python tests/attack_kills.py [KILLS] [SEED] [COMMAND ...].
+
+Each command runs once undisturbed. Then it is started again and again, killed once to three times (SIGKILL, SIGTERM or
+SIGINT), continued, and compared: the same bits, no file or process left over, nothing in the temporary directory, and
+no run that has a checkpoint begun anew. By hand; a kill takes some 20 s.
+"""
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from pathlib import Path
+
+import psutil
+from pumping import TINY
+
+CODE = (
+    # What a shell has begun in the background ignores Ctrl-C, and so do its children.
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from warpcrete.cli import main; main()"
+)
+PIPE = [word for name, value in (TINY | {"settle": 0.1, "travel": 0.03}).items()
+        for word in (f"--{name.replace('_', '-')}", str(value))]  # fmt: skip
+CPU = ["--device", "cpu", "--quiet"]
+OFTEN = ["--checkpoint-every", "0.1"]
+ENDLESS = ["--ends", "periodic", "--spacing", "0.0125"]
+COMMANDS = {
+    "pipe": ["run", "pipe", *PIPE, *CPU, *OFTEN],
+    "tube": ["run", "tube", "--spacing", "0.0125", "--length", "0.1", "--duration", "0.05", *CPU, *OFTEN, "--paraview"],
+    "slump": ["run", "slump", "--spacing", "0.02", "--duration", "0.5", *CPU, *OFTEN],
+    "study": ["study", "pipe", *PIPE, "--velocity", "0.3", "0.4", "0.5", *CPU, *OFTEN, "--rerun"],
+    "calibrate": ["calibrate", "{targets}", "--trials", "4", "--batch", "4", "--repeat", "1", *CPU],
+    "trade": ["trade", "tube", *ENDLESS, "--budget", "10s", "--knob", "spacing", *CPU],
+    "line": ["line", "{line}", *CPU],
+}
+TARGETS = """\
+vary:
+  viscosity: [10, 100]
+targets:
+  - {scene: slump, parameters: {concrete: own, density: 2350, yield_stress: 80, spacing: 0.02, duration: 0.5},
+     quantity: spread, value: 0.25, uncertainty: 5%}
+"""
+LINE = """\
+diameter: 125 mm
+flow: 20 m3/h
+concrete: no1
+parts:
+  - straight: 10 m
+  - reducer: {to: 100 mm, length: 0.5 m}
+  - straight: 5 m
+"""
+RECORDS = {"run": "scene.json", "study": "study.json", "calibrate": "calibration.json", "trade": "trade.json"}
+LEFT_OVER = re.compile(r"partial|\.lock$|checkpoint\.npz$|run-\d+\.rrd$|asked\.json$")
+TOO_LONG = 600
+ENDS = (0, 3)
+"""Exit codes of a command that went to its end; tiny runs fail checks."""
+
+
+class Attack:
+    """Commands in a folder, their processes known by a variable that all of them inherit."""
+
+    def __init__(self, place: Path, seed: int) -> None:
+        self.place, self.random = place, random.Random(seed)
+        self.mark = uuid.uuid4().hex
+        self.temporary = place / "tmp"
+        self.temporary.mkdir()
+        (place / "targets.yaml").write_text(TARGETS)
+        (place / "line.yaml").write_text(LINE)
+        self.whole: dict[str, dict[str, str]] = {}
+        self.took: dict[str, float] = {}
+
+    def start(self, words: list[str]) -> subprocess.Popen:
+        environment = os.environ | {
+            "PYTHONPATH": str(Path(__file__).parents[1]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
+        }  # fmt: skip
+        return subprocess.Popen(
+            [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    def words(self, name: str, folder: Path) -> list[str]:
+        places = {"targets": self.place / "targets.yaml", "line": self.place / "line.yaml"}
+        return [*(word.format(**places) for word in COMMANDS[name]), "--out", str(folder)]
+
+    def reference(self, name: str) -> None:
+        """Run a command undisturbed, twice: the first may compile."""
+        for folder in (self.place / f"{name}-warm", self.place / f"{name}-whole"):
+            begun = time.monotonic()
+            process = self.start(self.words(name, folder))
+            said = process.communicate(timeout=TOO_LONG)
+            assert process.returncode in ENDS, said
+            self.took[name] = time.monotonic() - begun
+        shutil.rmtree(self.place / f"{name}-warm")
+        self.whole[name] = hashes(folder)
+        self.files = sorted(path.name for path in folder.iterdir())
+
+    def kill(self, name: str, number: int) -> str:
+        """Kill a command once to three times, go on with it, and compare."""
+        folder = self.place / f"{name}-{number}"
+        words, story = self.words(name, folder), []
+        reached: dict[str, float] = {}
+        for _ in range(self.random.choice((1, 1, 2, 3))):
+            process = self.start(words)
+            delay = self.random.uniform(0.2, 1.05) * self.took[name]
+            how = self.random.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
+            try:
+                process.wait(delay)
+            except subprocess.TimeoutExpired:
+                process.send_signal(how)
+            out, err = process.communicate(timeout=TOO_LONG)
+            story.append(f"{how.name} after {delay:.1f} s: {process.returncode}")
+            assert "Traceback" not in err, (story, err)
+            self.no_process(story)
+            before, reached = reached, times(folder)
+            lost = [key for key, value in before.items() if reached.get(key, value) < value]
+            assert not lost, (story, before, reached)
+            words = self.next_words(name, folder)
+        for _ in range(3):  # a trade may want more time
+            process = self.start(words)
+            out, err = process.communicate(timeout=TOO_LONG)
+            assert "Traceback" not in err, (story, err)
+            if process.returncode in ENDS or "finished" in err or "exists already" in err:
+                break
+            words = self.next_words(name, folder)
+        story.append(f"then {process.returncode}")
+        assert process.returncode in ENDS or "finished" in err or "exists already" in err, (story, out, err)
+        self.no_process(story)
+        here, whole = hashes(folder), self.whole[name]
+        if name == "trade":  # which settings are tried depends on time
+            here, whole = ({key: value for key, value in each.items() if key in here and key in whole}
+                           for each in (here, whole))  # fmt: skip
+        assert here == whole, (story, here, whole)
+        left = [str(path) for path in folder.rglob("*") if LEFT_OVER.search(path.name)]
+        left += [path.name for path in self.temporary.iterdir()]
+        assert not left, (story, left)
+        if name != "trade":
+            assert names(folder) == names(self.place / f"{name}-whole"), (story, names(folder))
+        shutil.rmtree(folder)
+        return "; ".join(story)
+
+    def next_words(self, name: str, folder: Path) -> list[str]:
+        """Return the command that goes on: --resume where there is a record, else the same again."""
+        kind = COMMANDS[name][0]
+        record = RECORDS.get(kind)
+        if record is None or not (folder / record).is_file() or (self.random.random() < 0.3 and kind == "run"):
+            return self.words(name, folder)
+        return [kind, "--resume", str(folder), "--quiet"]
+
+    def no_process(self, story: list[str]) -> None:
+        """Raise if a process of an attack still lives, once they had time to end."""
+        end = time.monotonic() + 10
+        while left := [p.pid for p in psutil.process_iter() if self.mark in environment_of(p)]:
+            assert time.monotonic() < end, (story, left)
+            time.sleep(0.1)
+
+
+def environment_of(process: psutil.Process) -> str:
+    try:
+        return process.environ().get("WARPCRETE_ATTACK", "") if process.status() != psutil.STATUS_ZOMBIE else ""
+    except psutil.Error:
+        return ""
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """Hash of the end of every run below a folder, by its place."""
+    return {
+        str(path.parent.relative_to(folder)): json.loads(path.read_text()).get("state_hash", "")
+        for path in folder.rglob("result.json")
+    }
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def times(folder: Path) -> dict[str, float]:
+    """Simulated time of every result below a folder [s]: what stood at a checkpoint stays."""
+    results = {str(path.parent): json.loads(path.read_text()) for path in folder.rglob("result.json")}
+    return {place: result["simulated_time"]["value"] for place, result in results.items()}
+
+
+def main() -> None:
+    kills, seed, *chosen = [*sys.argv[1:], *("60", "0")[len(sys.argv[1:]) :]]
+    chosen = chosen or list(COMMANDS)
+    failed = 0
+    with tempfile.TemporaryDirectory() as place:
+        attack = Attack(Path(place), int(seed))
+        for name in chosen:
+            attack.reference(name)
+            print(f"{name}: {len(attack.whole[name])} runs in {attack.took[name]:.1f} s", flush=True)
+        for number in range(int(kills)):
+            name = chosen[number % len(chosen)]
+            try:
+                print(f"{number + 1} {name}: {attack.kill(name, number)}", flush=True)
+            except Exception as error:
+                failed += 1
+                print(f"{number + 1} {name}: FAILED: {error!r}", flush=True)
+                shutil.rmtree(attack.temporary)
+                attack.temporary.mkdir()
+    print(f"{failed} of {kills} failed")
+    raise SystemExit(min(failed, 1))
+
+
+if __name__ == "__main__":
+    main()

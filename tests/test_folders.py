@@ -1,0 +1,396 @@
+"""Run folders: one writer each, state before all else, failures that cost only themselves, and what a kill leaves."""
+
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+from click.testing import CliRunner
+from pumping import TINY, alive, wait_until
+
+from warpcrete import RunFolderError, Simulation, scenes
+from warpcrete.cli.main import cli
+from warpcrete.cli.run import KEPT
+from warpcrete.core import checkpoint, folders
+from warpcrete.core.errors import DiskFullError, SceneError
+from warpcrete.core.files import LOCK, cannot_write
+from warpcrete.core.folders import Hold, make_folder, new_folder
+from warpcrete.core.interrupts import StopAtSample, put_off
+from warpcrete.core.processes import tied
+from warpcrete.core.recorder import Recorder
+from warpcrete.dem.batch_run import run_batch
+from warpcrete.record.checks import CheckRecorder
+from warpcrete.record.loading import is_finished
+from warpcrete.record.rerun import RerunRecorder
+from warpcrete.record.run_folder import TableRecorder
+
+FLOW = dict(duration=0.02, spacing=0.01, length=0.1)
+METHODS = ("start", "sample", "frame", "checkpoint", "write", "finish", "tidy")
+HOLDING = """
+import sys, time
+from pathlib import Path
+from warpcrete.core.folders import Hold
+hold = Hold(Path(sys.argv[1]))
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+def flow(folder=None, *more, every=0.0, going_on=False):
+    """A short flow into a folder, with a checkpoint at every sample, and other recorders."""
+    table = [] if folder is None else [TableRecorder(folder, going_on=going_on)]
+    path = None if folder is None else folder / "checkpoint.npz"
+    return Simulation(scenes.channel(**FLOW), device="cpu", threads=1, recorders=[*table, *more], checkpoint_path=path,
+                      checkpoint_every=every)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The folder of a flow that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("folders") / "whole"
+    flow(folder).run()
+    return folder
+
+
+def same(folder, whole) -> bool:
+    """Whether a folder is as complete as that of an undisturbed run, with the same bits."""
+    results = [json.loads((each / "result.json").read_text()) for each in (folder, whole)]
+    names = [sorted(path.name for path in each.iterdir()) for each in (folder, whole)]
+    series = [(each / "series.csv").read_bytes() for each in (folder, whole)]
+    return (
+        names[0] == names[1] and series[0] == series[1] and results[0]["state_hash"] == results[1]["state_hash"]
+        and results[0]["finished"] is True
+    )  # fmt: skip
+
+
+# One writer each.
+
+
+def test_a_folder_has_one_owner_whose_name_the_next_one_reads(tmp_path, monkeypatch):
+    monkeypatch.setattr(folders, "GRACE", 0.0)
+    hold = Hold(tmp_path)
+    with pytest.raises(RunFolderError, match=rf"': is in use by process {os.getpid()} on \S+ since \d+-\d+-\d+ "):
+        Hold(tmp_path)
+    copy = shutil.copytree(tmp_path, tmp_path.with_name("copy"))
+    Hold(copy).release()  # a copy is free
+    hold.release()
+    hold.release()
+    assert not list(tmp_path.iterdir()) and not list(copy.iterdir())
+    Hold(tmp_path).release()
+
+
+def test_the_lock_of_a_killed_process_holds_nobody_up(tmp_path, monkeypatch):
+    process = subprocess.Popen([sys.executable, "-c", HOLDING, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "held\n"
+        monkeypatch.setattr(folders, "GRACE", 0.0)
+        with pytest.raises(RunFolderError, match=f"in use by process {process.pid} on"):
+            Hold(tmp_path)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (tmp_path / LOCK).is_file()
+    (tmp_path / "partial-run.rrd").write_bytes(b"half")
+    Hold(tmp_path).release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_new_folder_is_new(tmp_path):
+    with new_folder(tmp_path / "a" / "b"):
+        assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == [LOCK]
+    make_folder(tmp_path / "a" / "b").release()  # nothing was written: as a killed process leaves it
+    (tmp_path / "a" / "b" / "file").touch()
+    with pytest.raises(RunFolderError, match="exists already"):
+        make_folder(tmp_path / "a" / "b")
+
+
+def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole):
+    """Whether the second begins or resumes; by command it is one line and exit code 2."""
+    monkeypatch.setattr(folders, "GRACE", 0.0)
+    seen = []
+
+    class Second(Recorder):
+        def sample(self, simulation, row):
+            if len(simulation.rows) == 2:
+                for other in (flow(tmp_path / "run"), flow(tmp_path / "run", going_on=True)):
+                    with pytest.raises(RunFolderError) as refused:
+                        other.run()
+                    seen.append(str(refused.value))
+                seen.append(str(CliRunner().invoke(cli, ["run", "--resume", str(tmp_path / "run")]).exception))
+                assert is_finished(tmp_path / "run") is False  # readers need no lock
+
+    first = flow(tmp_path / "run", Second())
+    first.recorders[0].command = {key: {"threads": 1, "checkpoint_every": 1.0}.get(key) for key in KEPT}
+    first.run()
+    assert "exists already" in seen[0]
+    assert f"is in use by process {os.getpid()}" in seen[1] and "is in use by process" in seen[2]
+    assert same(tmp_path / "run", whole)
+
+
+@pytest.mark.parametrize(
+    "words", [("reproduce", "zhan"), ("study", "channel", "--flow", "1e-3", "2e-3"), ("line", "{}"), ("trade", "tube"),
+              ("run", "channel"), ("calibrate", "{}")], ids=lambda words: words[0],
+)  # fmt: skip
+def test_a_device_that_there_is_not_leaves_no_folder(tmp_path, words):
+    texts = {
+        "line": "diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n",
+        "calibrate": "vary: {viscosity: [10, 100]}\ntargets:\n  - {scene: slump, parameters: {concrete: own, density: "
+        "2350, yield_stress: 80}, quantity: spread, value: 0.5, uncertainty: 5%}\n",
+    }
+    file = tmp_path / "in.yaml"
+    file.write_text(texts.get(words[0], ""))
+    out = tmp_path / "a" / "b"
+    call = [word.format(file) for word in words]
+    done = CliRunner().invoke(cli, [*call, "--device", "nope", "--out", str(out), "--quiet"])
+    assert "nope" in str(done.exception), done.output
+    assert [path.name for path in tmp_path.iterdir()] == ["in.yaml"]
+
+
+def test_a_scene_that_is_refused_after_packing_leaves_no_folder(tmp_path):
+    folder = tmp_path / "a" / "run"
+    scene = scenes.pipe(**TINY | dict(time_step=0.01))
+    for run in (lambda s: s.run(), lambda s: run_batch([s])):
+        simulation = Simulation(scene, device="cpu", recorders=[TableRecorder(folder)])
+        try:
+            (outcome,) = run(simulation)
+        except SceneError as error:
+            outcome = error
+        assert isinstance(outcome, SceneError) and not list(tmp_path.iterdir())
+
+
+# Failures.
+
+
+class Failing(Recorder):
+    """Fails in one of its methods, from a moment on."""
+
+    expendable = True
+
+    def __init__(self, method, error):
+        self.closed = 0
+
+        def fail(simulation, *arguments):
+            if method not in ("sample", "frame") or len(simulation.rows) > 2:
+                raise error
+            return None
+
+        setattr(self, method, fail)
+
+    def close(self, simulation):
+        self.closed += 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_recording_that_fails_costs_itself_alone(tmp_path, whole, method):
+    failing = Failing(method, ValueError("no paint"))
+    with pytest.warns(UserWarning, match="^Failing failed, the run goes on without it: no paint$") as told:
+        run = flow(tmp_path / "run", failing).run()
+    assert run.finished and same(tmp_path / "run", whole) and len(told) == 1 and failing.closed == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_full_disk_ends_the_run_which_goes_on_when_there_is_room(tmp_path, whole, method):
+    full = cannot_write(tmp_path / "run" / "film", OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    with pytest.raises(DiskFullError) as told:
+        flow(tmp_path / "run", Failing(method, full)).run()
+    assert str(told.value).startswith(f"'{tmp_path / 'run' / 'film'}': cannot be written (No space left on device); ")
+    kept = float(re.search(r"; the state at t = (\S+) s is kept; free some space", str(told.value))[1])
+    assert not is_finished(tmp_path / "run") and not (tmp_path / "run" / LOCK).exists()
+    again = flow(tmp_path / "run")
+    again.begin(tmp_path / "run" / "checkpoint.npz")
+    assert again.stepper.time == pytest.approx(kept, abs=1e-9) and (kept > 0) == (method != "start")
+    assert again.run().finished and same(tmp_path / "run", whole)
+
+
+def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
+    """The state is tried first, then the result and the series, then recordings; each is tried whatever came before."""
+    tried = []
+
+    def write(path, *given):
+        tried.append("state")
+        raise cannot_write(path, OSError(errno.ENOSPC, "full"))
+
+    def write_json(path, data):
+        tried.append(path.name)
+        if path.name == "result.json":
+            raise cannot_write(path, OSError(errno.EDQUOT, "quota"))
+        path.write_text(json.dumps(data))
+
+    class Film(Recorder):
+        expendable = True
+
+        def finish(self, simulation, run):
+            tried.append("film")
+            raise cannot_write(tmp_path / "film", OSError(errno.EFBIG, "too large"))
+
+    simulation = flow(tmp_path / "run", Film(), every=1e9)
+    monkeypatch.setattr(checkpoint, "write", write)
+    monkeypatch.setattr("warpcrete.record.run_folder.write_json", write_json)
+    monkeypatch.setattr(Simulation, "_checkpoint", lambda self: None)
+    with pytest.raises(DiskFullError) as told:
+        simulation.run()
+    assert tried[:4] == ["scene.json", "state", "result.json", "film"]
+    text = str(told.value)
+    assert "result.json': cannot be written (quota); neither can" in text and f"'{tmp_path / 'film'}'" in text
+    assert "no state was kept" in text and "\n" not in text
+
+
+def test_a_checkpoint_writes_state_result_and_recordings_in_this_order(tmp_path, monkeypatch):
+    order = []
+    monkeypatch.setattr(checkpoint, "write", lambda *given: order.append("state"))
+    monkeypatch.setattr(TableRecorder, "write", lambda self, simulation: order.append("result"))
+
+    class Film(Recorder):
+        expendable = True
+
+        def write(self, simulation):
+            order.append("film")
+
+    flow(tmp_path / "run", Film()).run()
+    assert order[:4] == ["state", "state", "result", "film"] and order[-1] == "state"  # at t = 0 there is no row yet
+    assert order[1:-1] == ["state", "result", "film"] * (len(order[1:-1]) // 3)
+
+
+# Kills.
+
+
+class Killed(BaseException):
+    """Stands for a kill: nothing handles it."""
+
+
+def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkeypatch):
+    """Whether it comes before the joined file is in place, or when some parts are gone."""
+    folder = tmp_path / "run"
+
+    def cut(parts, path):
+        path.with_name("partial-run.rrd").write_bytes(b"half")
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr("warpcrete.record.rerun.join", cut)
+        with pytest.raises(Killed):
+            first = flow(folder, RerunRecorder(folder / "run.rrd"))
+            first.run()
+    first.recorders[0].close(first)  # the lock of a process that has ended is free
+    assert len(list(folder.glob("run-*.rrd"))) > 2 and json.loads((folder / "result.json").read_text())["finished"]
+    assert not is_finished(folder)
+    shutil.copyfile(next(folder.glob("run-0002.rrd")), tmp_path / "part")
+    for number in range(2):
+        again = flow(folder, RerunRecorder(folder / "run.rrd"), going_on=True)
+        again.begin(folder / "checkpoint.npz")
+        with monkeypatch.context() as patch:
+            if number == 0:
+                patch.setattr(checkpoint, "remove", lambda path: None)  # killed when all but this was done
+            again.run()
+        if number == 0:
+            shutil.copyfile(tmp_path / "part", folder / "run-0002.rrd")
+            assert not is_finished(folder)
+    assert (folder / "run.rrd").stat().st_size > 10_000
+    assert sorted(path.name for path in folder.glob("*run*")) == ["run.rrd"]
+    (folder / "run.rrd").unlink()
+    assert same(folder, whole)
+
+
+def test_a_child_ends_with_the_process_that_started_it(tmp_path):
+    code = (
+        "import subprocess, sys, time; from warpcrete.core.processes import tied; "
+        "subprocess.Popen(tied([sys.executable, '-c', 'import time; time.sleep(60)'])); print('begun', flush=True); "
+        "time.sleep(60)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "begun\n"
+    children = psutil.Process(process.pid).children()
+    assert len(children) == 1
+    process.kill()
+    process.communicate()
+    assert wait_until(lambda: not any(map(alive, children)), 10)
+    assert tied(["x"])[-1] == "x"
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_is_begun_again(tmp_path, monkeypatch):
+    """By the same command or by --resume; another scene is refused."""
+    words = ["run", "channel", *(f"--{name}={value}" for name, value in FLOW.items()), "--device=cpu", "--threads=1",
+             "--no-rerun", "--no-usd", "--quiet", f"--out={tmp_path / 'run'}"]  # fmt: skip
+    folder = tmp_path / "run"
+
+    def killed(*given):
+        raise Killed
+
+    def kill_early():
+        with monkeypatch.context() as patch:
+            patch.setattr("warpcrete.mps.simulation.FluidSimulation.prepare", killed)
+            patch.setattr(TableRecorder, "abandon", TableRecorder.close)
+            with pytest.raises(Killed):
+                CliRunner().invoke(cli, words)
+        assert [path.name for path in folder.iterdir()] == ["scene.json"]
+
+    for again in (words, ["run", "--resume", str(folder), "--quiet"]):
+        kill_early()
+        other = CliRunner().invoke(cli, [*words, "--flow=0.002"])
+        assert "exists already, with another run (its parameters differs)" in str(other.exception)
+        done = CliRunner().invoke(cli, again)
+        assert done.exit_code == 3 and is_finished(folder), done.output  # a check fails: it is too short
+        assert "exists already" in str(CliRunner().invoke(cli, words).exception)
+        shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_settling_that_was_cut_goes_on(tmp_path, batched):
+    scene = scenes.pipe(**TINY | dict(settle=0.1, travel=0.004, ramp=0.002))
+    path = tmp_path / "run" / "checkpoint.npz"
+
+    def made(progress=None, **more):
+        recorders = [TableRecorder(tmp_path / "run", going_on=True)]
+        return Simulation(scene, device="cpu", threads=1, progress=progress or False, recorders=recorders,
+                          checkpoint_path=path, checkpoint_every=0.0)  # fmt: skip
+
+    uncut = Simulation(scene, device="cpu", threads=1).run()
+    told = []
+
+    def cut(phase, fraction, figures):
+        told.append((phase, fraction))
+        if phase == "settling" and fraction > 0.05:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        made(cut).run()
+    assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.npz", "scene.json"]
+    told.clear()
+    again = made(lambda phase, fraction, figures: told.append((phase, fraction)))
+    if batched:
+        (run,) = run_batch([again], [path])
+    else:
+        again.begin(path)
+        run = again.run()
+    assert run.finished and run.result["state_hash"] == uncut.result["state_hash"]
+    assert "packing" not in dict(told) and told[0][0] == "settling" and told[0][1] > 0.05
+    assert run.result["packing"] == uncut.result["packing"] and not path.exists()
+
+
+def test_sigterm_is_heard_as_ctrl_c_where_the_program_says_so():
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        simulation = flow()
+        with StopAtSample([simulation]):
+            signal.raise_signal(signal.SIGTERM)
+            assert simulation.stop_requested
+        done = []
+        with pytest.raises(KeyboardInterrupt), put_off():
+            signal.raise_signal(signal.SIGTERM)
+            done.append(True)
+        assert done
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_checks_finish_before_the_table_that_writes_them(tmp_path):
+    folder = tmp_path / "run"
+    simulation = flow(folder, CheckRecorder(lambda run: {"any": (True, "found")}))
+    simulation.run()
+    assert json.loads((folder / "result.json").read_text())["checks"]["any"]["found"] == "found"
