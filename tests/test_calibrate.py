@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
+from warpcrete.core.yaml_files import yaml_text
 from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
@@ -301,7 +301,7 @@ def test_the_file_of_a_pipes_concrete_holds_all_that_it_had(tmp_path):
     task = task_of(raw, modules())
     found = SimpleNamespace(task=task, best={"friction": 0.123})
     path = tmp_path / "concrete.yaml"
-    path.write_text(yaml.safe_dump(concrete_of(found, modules())))
+    path.write_text(yaml_text(concrete_of(found, modules())))
     ours, theirs = scenes.pipe(concrete=path), scenes.pipe(friction=0.123)
     assert (ours.contact, ours.contacts, ours.bonds) == (theirs.contact, theirs.contacts, theirs.bonds)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
+from warpcrete.core.yaml_files import yaml_text
 from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
@@ -41,7 +41,7 @@ BULK = {"density": 2300, "concrete": {"yield_stress": 60, "viscosity": "40 Pa s"
 
 def written(folder, section, name="mix.yaml", **more):
     path = folder / name
-    path.write_text(yaml.safe_dump({"mix": section, **more}, sort_keys=False))
+    path.write_text(yaml_text({"mix": section, **more}))
     return path
 
 
@@ -253,7 +253,7 @@ def test_the_command_prints_and_writes_a_concrete(tmp_path):
 def test_a_line_has_the_band_of_its_mix(tmp_path):
     path, site = written(tmp_path, BULK | STONES), tmp_path / "site.yaml"
     parts = [{"straight": "10 m"}, {"bend": {"to": "up", "radius": "0.5 m"}}, {"straight": "5 m"}]
-    site.write_text(yaml.safe_dump({"diameter": "125 mm", "flow": "20 m3/h", "concrete": "mix.yaml", "parts": parts}))
+    site.write_text(yaml_text({"diameter": "125 mm", "flow": "20 m3/h", "concrete": "mix.yaml", "parts": parts}))
     mix, line = read_mix(path), line_of({"diameter": "125 mm", "parts": parts})
     found = run_line(line, mix.concrete, 20 / 3600, simulate=False, band=mix.band)
     ends = [run_line(line, each, 20 / 3600, simulate=False) for each in mix.band]

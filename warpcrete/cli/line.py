@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..core.amounts import amount
-from ..core.files import check_new, next_folder
+from ..core.files import check_new, next_folder, whole_file
 from ..core.progress import ProgressBar
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
@@ -91,7 +91,8 @@ def _print(
         text = lines_of_elements(packed, others)
         click.echo("\n" + "\n".join(text))
         if folder is not None:
-            (folder / "line-dem.md").write_text("\n".join(text) + "\n")
+            with whole_file(folder / "line-dem.md") as partial:
+                partial.write_text("\n".join(text) + "\n", encoding="utf-8")
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
         click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import io
 import os
 import subprocess
+import sys
+import warnings
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from ..core.errors import InstabilityError, WarpcreteError
+from ..core.errors import InstabilityError, PlausibilityWarning, WarpcreteError, one_line
 from .texts import MIX_HELP
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
@@ -164,24 +167,32 @@ class TheoryCommand(click.Command):
 
 
 @cli.command("theory", cls=TheoryCommand)
-@click.option("--flow", multiple=True, type=float, help="[m3/s]; may be repeated  [default: 0.0015]")
-@click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
+@click.option("--flow", multiple=True, help="[m3/s], or as '35 m3/h'; may be repeated  [default: 0.0015]")
+@click.option("--pressure", multiple=True, help="[Pa], or as '50 bar'; may be repeated: the flow that it drives")
 @click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
               "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
-@click.option("--rest", type=float, help="that the concrete has stood [s]: what a restart then takes")
-@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
-@click.option("--segregation", multiple=True, type=float, help="aggregate in the outer half of the radius less that in "
+@click.option("--rest", help="that the concrete has stood [s], or as '10 min': what a restart then takes")
+@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
+@click.option("--segregation", multiple=True, help="aggregate in the outer half of the radius less that in "
               "the inner half, over its mean share: what it does to a pipe's pressure; may be repeated")  # fmt: skip
-@click.option("--aggregate", type=float, help="its share of the volume, for --segregation  [default: a mix's own]")
+@click.option("--aggregate", help="its share of the volume, for --segregation  [default: a mix's own]")
 @click.pass_context
 def theory(
-    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None,
-    rest: float | None, thixotropy: float | None, segregation: tuple[float, ...], aggregate: float | None,
+    context: click.Context, flow: tuple[str, ...], pressure: tuple[str, ...], fit: Path | None,
+    rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
+    read = _part("theory").amounts
     _part("theory").run(
-        _part("options").given(values, context), flow, pressure, fit, rest, thixotropy, segregation, aggregate
+        _part("options").given(values, context),
+        read("flow", flow, "m3/s"),
+        read("pressure", pressure, "Pa"),
+        fit,
+        *read("rest", rest, "s"),
+        *read("thixotropy", thixotropy, "Pa/s"),
+        read("segregation", segregation, "1"),
+        *read("aggregate", aggregate, "m3/m3"),
     )
 
 
@@ -421,8 +432,31 @@ def explain_command(arguments: tuple[str, ...]) -> None:
     _part("explain").run(_by_method(list(arguments)), _scenes())
 
 
+def _prepare_streams() -> None:
+    """Let no character that the terminal cannot show end the command, and make every warning one line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *more: Any, **others: Any) -> None:
+        if issubclass(category, PlausibilityWarning):
+            click.echo(f"warning: {one_line(str(message))}", err=True)
+        else:
+            usual(message, category, *more, **others)
+
+    warnings.showwarning = show
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    """Print an error as one line and exit."""
+    click.echo(f"error: {one_line(text)}", err=True)
+    raise SystemExit(code) from None
+
+
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
+    _prepare_streams()
     try:
         cli(standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -431,17 +465,13 @@ def main() -> None:
         click.echo(error.format_message())
         raise SystemExit(2) from None
     except click.UsageError as error:
-        click.echo(f"error: {' '.join(error.format_message().split())}", err=True)
-        raise SystemExit(2) from None
+        _fail(" ".join(error.format_message().split()), 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         raise SystemExit(130) from None
     except InstabilityError as error:
-        click.echo(f"error: {error}", err=True)
-        raise SystemExit(1) from None
+        _fail(str(error), 1)
     except WarpcreteError as error:
-        click.echo(f"error: {error}", err=True)
-        raise SystemExit(2) from None
+        _fail(str(error), 2)
     except OSError as error:
-        click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)
-        raise SystemExit(2) from None
+        _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from ..core.amounts import amount
 from ..core.parameters import Alias, Field, OneOf
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
@@ -53,15 +54,40 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
             if field.kind is bool:
                 option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
             else:
-                option = ParameterOption([flag(name), name], type=_kind(field), **settings)
+                option = ParameterOption([flag(name), name], type=_kind(field, name), **settings)
             option.group = field.group
             found.append(option)
     return found
 
 
-def _kind(field: Field) -> Any:
+class Quantity(click.ParamType):
+    """A number, or a text of a number and one of the units that people write."""
+
+    name = "number"
+
+    def __init__(self, field: Field, called: str) -> None:
+        self.field, self.called = field, called
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number in the field's unit."""
+        return quantity_of(value, self.field, self.called)
+
+
+NO_NUMBERS = ("nan", "inf", "infinity")
+
+
+def quantity_of(value: Any, field: Field, called: str) -> float:
+    """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
+    if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
+        return float(value)  # which the field's own rule refuses
+    return amount(called, value, field.units)
+
+
+def _kind(field: Field, called: str) -> Any:
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
-    return click.Choice(list(choices)) if choices and field.kind is str else field.kind
+    if choices and field.kind is str:
+        return click.Choice(list(choices))
+    return Quantity(field, called) if field.kind is float else field.kind
 
 
 def flag(name: str) -> str:

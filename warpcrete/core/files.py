@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .errors import RunFolderError
+from .text_files import saved_json
 
 
 @contextmanager
@@ -44,7 +45,7 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
 def write_json(path: Path, data: Any) -> None:
     """Write JSON; a reader never sees half a file."""
     with whole_file(path) as partial:
-        partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n")
+        partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _finite(data: Any) -> Any:
@@ -60,13 +61,7 @@ def _finite(data: Any) -> Any:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Contents of a JSON file that holds an object, or :class:`RunFolderError`."""
-    try:
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise RunFolderError(f"'{path}': cannot be read ({type(error).__name__}: {error})") from error
-    if not isinstance(data, dict):
-        raise RunFolderError(f"'{path}': holds no JSON object")
-    return data
+    return saved_json(path)
 
 
 def check_new(folder: Path) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..core.amounts import amount
-from ..core.concretes import is_file, read_yaml
-from ..core.errors import one_of, positive, refuse
+from ..core.concretes import is_file
+from ..core.errors import one_of, positive, refuse, suggested
+from ..core.text_files import read_mapping
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting
@@ -184,10 +185,12 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     """
     if not isinstance(name, (str, Path)):
         refuse("line", name, "must be the name of a file", "write one: see --help")
-    path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
-    if not path.is_file():
-        refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")
-    given = dict(read_yaml(path, "line"))
+    known = shipped_lines()
+    path = SHIPPED / f"{name}.yaml" if str(name) in known else Path(name)
+    if not path.suffix:
+        refuse("line", str(name), f"is no file and none of {', '.join(known)}",
+               suggested(str(name), known) or "write one: see --help")  # fmt: skip
+    given = read_mapping(path, "line")
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
     return given, path

@@ -349,7 +349,7 @@ class RerunRecorder(Recorder):
         parts = [self._part(number) for number in range(self._parts + 1)]
         partial = self.path.with_name("partial-" + self.path.name)
         command = [sys.executable, "-m", "rerun", "rrd", "merge", *map(str, parts), "-o", str(partial)]
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace")
         if done.returncode != 0 or not partial.is_file():
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             warnings.warn(f"the parts of {self.path} stay apart, joining them failed: {last}", stacklevel=2)

@@ -55,16 +55,16 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise RunFolderError(f"out = '{self.folder}': cannot be made ({error.strerror})") from error
         write_json(self.folder / "scene.json", record)
-        self._file = self._series.open("w", newline="")
+        self._file = self._series.open("w", newline="", encoding="utf-8")
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Write series.csv as it was at the checkpoint, which holds every row."""
         with whole_file(self._series) as partial:
-            self._file = partial.open("w", newline="")
+            self._file = partial.open("w", newline="", encoding="utf-8")
             for row in simulation.rows:
                 self._write(simulation, row)
             self._file.close()
-        self._file = self._series.open("a", newline="")
+        self._file = self._series.open("a", newline="", encoding="utf-8")
         if self._writer is not None:
             self._writer = csv.writer(self._file)
 
@@ -100,7 +100,7 @@ class TableRecorder(Recorder):
 
 def _write_table(path: Path, table: Table) -> None:
     """A table as series.csv has its rows."""
-    with whole_file(path) as partial, partial.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{table.units[name]}]" for name in table.columns])
         writer.writerows([[f"{value:.9g}" for value in row] for row in zip(*table.columns.values(), strict=True)])

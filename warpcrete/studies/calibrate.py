@@ -22,7 +22,7 @@ from ..record.checks import failed_checks
 from ..scenes import modules
 from .calibration import Calibration, Trial
 from .calibration_report import write
-from .cases import Case
+from .cases import MOST_CASES, Case
 from .posterior import posterior
 from .starts import closed_form_start
 from .study import Study, resume_study, run_listed
@@ -81,8 +81,8 @@ def run_calibration(
     _check_trials(most)
     if at_once < 1:
         refuse("batch", at_once, "must be 1 or more")
-    if repeat < 0:
-        refuse("repeat", repeat, "must be 0 or more")
+    if not 0 <= repeat <= MOST_CASES:
+        refuse("repeat", repeat, f"must be 0 to {MOST_CASES}")
     between("seed", seed, 0, math.inf)
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
@@ -113,8 +113,8 @@ def resume_calibration(
 
 
 def _check_trials(most: int) -> None:
-    if most < 4:
-        refuse("trials", most, "must be 4 or more")
+    if not 4 <= most <= MOST_CASES:
+        refuse("trials", most, f"must be 4 to {MOST_CASES}")
 
 
 def _record(folder: Path) -> dict[str, Any]:

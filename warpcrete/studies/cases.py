@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from ..core.errors import refuse
 
 LONGEST_NAME = 120  # of a run folder
+MOST_CASES = 10_000
+"""Number of cases of a study; more take minutes to prepare."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,8 @@ def cases_of(
     parameter alone, the others hold their base or default value, and a point that several parameters share is one case.
     Raises :class:`SceneError` for empty or repeated values.
     """
-    if repeat < 1:
-        refuse("repeat", repeat, "must be 1 or more")
+    if not 1 <= repeat <= MOST_CASES:
+        refuse("repeat", repeat, f"must be 1 to {MOST_CASES}")
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more different values")
@@ -48,6 +51,10 @@ def cases_of(
         refuse("repeat", repeat, "goes by seeds, and the scene has none")
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "goes by seeds, which the study names itself", "leave out one of both")
+    counts = [len(values) for values in varied.values()]
+    count = repeat * (sum(counts) if one_at_a_time else math.prod(counts))
+    if count > MOST_CASES:
+        refuse("study", f"{count} cases", f"must have at most {MOST_CASES}", "vary fewer values, or --one-at-a-time")
     points = _alone(base, varied, defaults or {}) if one_at_a_time and varied else _combined(varied)
     first = int(base.get("seed", 0))
     cases: list[Case] = []

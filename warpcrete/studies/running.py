@@ -17,6 +17,7 @@ from ..core.errors import WarpcreteError
 from ..core.files import read_json
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.run_loop import Run
+from ..core.text_files import saved_text
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
@@ -201,7 +202,7 @@ def _plain(outcome: Any) -> Any:
 def outcome_of(folder: Path) -> Any:
     """What came of a case before: its result.json, its error, or None."""
     if (folder / FAILED).is_file():
-        return WarpcreteError((folder / FAILED).read_text().strip())
+        return WarpcreteError(saved_text(folder / FAILED).strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
         result = read_json(folder / "result.json")
         if result.get("finished") and "checks" in result:

@@ -161,12 +161,12 @@ class Study:
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
-        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="") as file:
+        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
             writer.writerows([[row.get(name, "") for name in names] for row in rows])
         with whole_file(self.folder / "study.md") as partial:
-            partial.write_text(f"{self.markdown()}\n")
+            partial.write_text(f"{self.markdown()}\n", encoding="utf-8")
         write_parquet(self, self.folder / "study.parquet")
         if figure and self.results:
             with whole_file(self.folder / "study.png") as partial:
@@ -315,7 +315,7 @@ def _go_on(
             study.failures[case.name] = str(outcome) or type(outcome).__name__
             if isinstance(outcome, InstabilityError | SceneError):
                 (folder / case.name).mkdir(exist_ok=True)
-                (folder / case.name / FAILED).write_text(f"{outcome}\n")
+                (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")
         tell("running", len(study.results) / len(cases), {})
 
     try:

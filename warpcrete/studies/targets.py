@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.concretes import concrete, is_file, read_yaml
+from ..core.concretes import concrete, is_file
 from ..core.errors import SceneError, refuse
 from ..core.method import Quantity
 from ..core.parameters import Field, FileIf, declared_fields
+from ..core.text_files import read_mapping
 from ..core.units import number, shown
 from ..methods import method_of
 
@@ -128,7 +129,7 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
     `warpcrete calibrate --help` shows one. Files in it are meant from its folder.
     """
-    raw = dict(read_yaml(path, "targets"))
+    raw = read_mapping(path, "targets")
     if isinstance(raw.get("base"), str) and is_file(raw["base"]):
         raw["base"] = str((path.parent / raw["base"]).resolve())
     task = task_of(raw, modules, path.parent)

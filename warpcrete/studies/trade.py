@@ -21,6 +21,7 @@ from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
 from .asked import module_of
+from .cases import MOST_CASES
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
 from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
@@ -93,6 +94,8 @@ def run_trade(
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
         refuse("repeat", repeat, "goes by seeds, and nothing is random in this scene", "leave it out")
+    if repeat is not None and repeat > MOST_CASES:
+        refuse("repeat", repeat, f"must be at most {MOST_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
     positive("budget", budget, "s")
