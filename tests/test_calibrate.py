@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from warpcrete.core.yaml_files import yaml_text
 from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
+from warpcrete.core.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibrate import calibrate, resume_calibration

@@ -42,6 +42,12 @@ NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*"
 """A number, and the unit behind it."""
 
 
+def bare_number(given: Any) -> bool:
+    """Return whether `given` is a number, or a text of one without a unit."""
+    text = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    return text is not None and not text[2] if isinstance(given, str) else isinstance(given, NUMBERS)
+
+
 def amount(field: str, given: Any, unit: str) -> float:
     """Return a number in `unit`, one of :data:`UNITS`, from a number or from a text of a number and a unit.
 

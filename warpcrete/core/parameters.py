@@ -178,7 +178,7 @@ class Field:
 
 @functools.cache
 def declared_fields(owner: type) -> dict[str, Field]:
-    """Annotated fields of a dataclass, in the order of its groups (the bases as they are known_names) and their lines."""
+    """Annotated fields of a dataclass, in the order of its groups (the bases as they are listed) and their lines."""
     hints = get_type_hints(owner, include_extras=True)
     own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
     found: dict[str, Field] = {}

@@ -169,6 +169,8 @@ def mix_of(
     )  # fmt: skip
     slip = {figure.name: figure for figure in layer(told, fluid)} | bulk
     figures = [slip[each] for each in FLOW.values()]
+    if told.sieve is None and told.sizes is None:
+        remarks.append("the mix has no sieve curve: elements have the sizes of the scene, 5 to 20 mm unless told")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
 
 
