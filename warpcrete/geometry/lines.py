@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 from ..core.amounts import amount
 from ..core.concretes import is_file
 from ..core.errors import one_of, positive, refuse, suggested
-from ..core.text_files import read_mapping
+from ..core.limits import check_limit, check_velocity
+from ..core.text_files import read_mapping, within
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting
@@ -30,6 +32,12 @@ PARTS = {
     "bore": ("file", "scale", "length", "outlet"),
 }
 """Kinds of parts, and what each may say."""
+AMOUNTS = {"diameter": "m", "largest_stone": "m", "flow": "m3/s", "recorded": "Pa"}
+"""Numbers of a line that are above 0, with their units."""
+LIMITED_AS = {"largest_stone": "size_max", "recorded": "pressure", "to": "diameter", "outlet": "diameter"}
+"""Names of quantities whose limits hold for entries of another name."""
+MOST_PARTS, MOST_POINTS = 2000, 500
+"""Parts of a line and points of a hose; the longest lines that were pumped have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
 SHARPEST = 135.0
@@ -187,7 +195,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
         refuse("line", name, "must be the name of a file", "write one: see --help")
     known = shipped_lines()
     path = SHIPPED / f"{name}.yaml" if str(name) in known else Path(name)
-    if not path.suffix:
+    if not path.suffix and not os.path.exists(path):
         refuse("line", str(name), f"is no file and none of {', '.join(known)}",
                suggested(str(name), known) or "write one: see --help")  # fmt: skip
     given = read_mapping(path, "line")
@@ -204,28 +212,37 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if not isinstance(given, Mapping):
         refuse("line", given, "must be 'key: value' lines, or a mapping of such")
     for key in given:
-        one_of("line's key", key, KEYS)
+        with within(given, key):
+            one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
         refuse("parts", entries, "must be a list of one part or more", "as '- straight: 10 m'")
+    if len(entries) > MOST_PARTS:
+        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "join straight parts in a row")
     if "diameter" not in given:
         refuse("diameter", None, "must be given, that of the first part", "as 'diameter: 125 mm'")
-    diameter = _above("diameter", given["diameter"], "m")
+    diameter, stone, flow, recorded = (_above(given, field, unit) for field, unit in AMOUNTS.items())
+    assert diameter is not None
     begin = given.get("begin", "level")
-    one_of("begin", begin, BEGINS)
-    stone = _above("largest_stone", given["largest_stone"], "m") if "largest_stone" in given else None
+    with within(given, "begin"):
+        one_of("begin", begin, BEGINS)
     course = _Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):
-        course.add(number, entry)
+        with within(entries, number - 1):
+            course.add(number, entry)
+    if flow is not None:
+        with within(given, "flow"):
+            narrow = min(min(part.diameter, part.outlet) for part in course.parts)
+            check_velocity("flow", flow, 4 * flow / (math.pi * narrow**2))
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
     line = PipeLine(
         name=str(given.get("name", name)),
         parts=tuple(course.parts),
         axis=axis,
-        flow=_above("flow", given["flow"], "m3/s") if "flow" in given else None,
+        flow=flow,
         concrete=str(given["concrete"]) if "concrete" in given else None,
         source=str(given.get("source", "")),
-        recorded=_above("recorded", given["recorded"], "Pa") if "recorded" in given else None,
+        recorded=recorded,
     )
     check_crossing(line)
     return with_stone(line, stone)
@@ -240,9 +257,14 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     return replace(line, largest_stone=stone)
 
 
-def _above(field: str, given: Any, unit: str) -> float:
-    found = amount(field, given, unit)
-    positive(field, found, unit)
+def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
+    """Return an entry above 0 in `unit`, or None where there is none."""
+    if field not in given:
+        return None
+    with within(given, field):
+        found = amount(field, given[field], unit)
+        positive(field, found, unit)
+        check_limit(field, found, unit, LIMITED_AS.get(field, field))
     return found
 
 
@@ -271,7 +293,10 @@ class _Course:
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
                 refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
-            return amount(f"part {number}, {kind}: {key}", said.get(key, default), unit)
+            field = f"part {number}, {kind}: {key}"
+            found = amount(field, said.get(key, default), unit)
+            check_limit(field, found, "" if unit == "1" else unit, LIMITED_AS.get(key, key))
+            return found
 
         if kind == "hose":
             part, pieces = self._hose(number, said)
@@ -339,7 +364,11 @@ class _Course:
             refuse(f"{field}: points", given, "must be a list of points", "as '[[1, 0, 0], [2, 0, -0.5]]'")
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
             refuse(f"{field}: points", given, "must each be three lengths: ahead, to the left, up")
+        if len(given) > MOST_POINTS:
+            refuse(f"{field}: points", f"{len(given)} points", f"must be at most {MOST_POINTS}")
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
+        for x in local.ravel().tolist():
+            check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
             refuse(f"{field}: points", given, "must be half a diameter apart, at least")
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
