@@ -185,7 +185,7 @@ targets:
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; known are"),
         (("quantity: pressure, ", ""), "needs quantity"),
-        (("value: 12e3", "value: .nan"), "target 1 value = nan: must be a finite number"),
+        (("value: 12e3", "value: .nan"), "line 4: has .nan, which is no finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),
         (("2%", "0"), "uncertainty = 0: must be a number above 0"),
