@@ -95,7 +95,7 @@ def test_a_base_beside_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (None, "cannot be read"),
+        (None, "is no file"),
         ("- a\n- b", "holds a list"),
         ("a: [", "is no YAML"),
         ("name: x", "says nothing of elements or flow"),

@@ -325,7 +325,7 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (BULK | {"concrete": {"viscosity": "40 Pa.m"}}, "mix concrete: viscosity = '40 Pa.m': must be a number"),
         (BULK | {"concrete": {"viscosity": 40, "yeild_stress": 6}}, "mix concrete: key = 'yeild_stress'"),
         (BULK | {"layer": {"viscosity": 900}}, "must have yield_stress and viscosity, or points, or tribometer"),
-        (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
+        (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': is no file"),
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be given"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "needs two or more points"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}}, "mix slip viscosity = -50.0: is what the line"),

@@ -191,7 +191,7 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
     assert "line 4: pressure = 'x bar': must be a number" in refused("flow [m3/h],pressure [bar]\n\n1,2\n2,x\n")
     assert "which none has; look at length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
     points.unlink()
-    assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)
+    assert "is no file" in str(CliRunner().invoke(cli, given).exception)
 
 
 def test_a_restart_takes_what_the_structure_bears():

@@ -411,6 +411,18 @@ def mix_command(name: str, out: Path | None) -> None:
     _part("mix").run(name, out)
 
 
+@cli.command("schema")
+@click.argument("kind", required=False)
+@click.option("--path", is_flag=True, help="print the path of the shipped file instead")
+def schema_command(kind: str | None, path: bool) -> None:
+    """Print the JSON schema of a kind of file: concrete, mix, line or targets. By it editors complete and check such
+    files, with '# yaml-language-server: $schema=PATH' as their first line."""
+    if kind is None:
+        raise click.UsageError("kind: name concrete, mix, line or targets")
+    found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
+    click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
+
+
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
 
 Which features are compiled in and why, memory by part, the time step and what governs it, steps and wall time on this

@@ -136,6 +136,8 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # these limits are too wide to tell
+    if not 1e-2 <= abs(value) <= 1e6:
+        return ""  # nobody writes such a number with any unit
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"{value:g} {other}?"

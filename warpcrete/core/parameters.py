@@ -153,6 +153,8 @@ class Field:
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+        if isinstance(value, str) and "\0" in value:
+            refuse(name, value, "holds a NUL character", "leave it out")
         if any(rule.test(value) for rule in self.of_kind(FileIf)):
             return str(Path(value).resolve())
         return value

@@ -111,8 +111,8 @@ def _checked(path: Path, most: int) -> int:
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
-        raise Unreadable(f"cannot be read ({getattr(error, 'strerror', None) or error})",
-                          "give the path of a file that can") from error  # fmt: skip
+        reason = getattr(error, "strerror", None) or error
+        raise Unreadable(f"is no file that can be read ({reason})", "give the path of a file") from error
     if not stat.S_ISREG(found.st_mode):
         kind = next((name for test, name in KINDS if test(found.st_mode)), "no regular file")
         raise Unreadable(f"cannot be read (it is {kind})", "give the path of a file")

@@ -23,17 +23,44 @@ from .curves import begins, through
 from .mesh_parts import MeshBore, bore_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
+TEXTS = {
+    "name": "name of the line",
+    "source": "origin of its data",
+    "concrete": "name of a concrete, or the path of its file beside this one",
+}
+"""Texts of a line's file, with their meaning."""
+AMOUNTS = {
+    "recorded": ("Pa", "pressure that was recorded at the pump"),
+    "diameter": ("m", "inner diameter of the first part"),
+    "flow": ("m3/s", "volume flow"),
+    "largest_stone": ("m", "largest stone of the concrete"),
+}
+"""Numbers of a line's file that are above 0, with their units and meaning."""
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
 PARTS = {
-    "straight": ("length", "rise", "diameter"),
-    "bend": ("angle", "radius", "to"),
-    "reducer": ("to", "length"),
-    "hose": ("points", "layer"),
-    "bore": ("file", "scale", "length", "outlet"),
+    "straight": {
+        "length": ("m", "length of its axis"),
+        "rise": ("m", "height that it gains, to check where the line goes"),
+        "diameter": ("m", "inner diameter, to check that the parts fit"),
+    },
+    "bend": {
+        "angle": ("degrees", "angle; the default goes all the way that 'to' names"),
+        "radius": ("m", "radius of its centreline"),
+        "to": ("", "direction in which it leads"),
+    },
+    "reducer": {"to": ("m", "inner diameter behind it"), "length": ("m", "length of its axis")},
+    "hose": {
+        "points": ("m", "points along its axis from where it begins: ahead, to the left, up"),
+        "layer": ("1", "resistance of its slip layer over that of a pipe"),
+    },
+    "bore": {
+        "file": ("", "mesh file beside this one, which begins at its origin and leads along its x"),
+        "scale": ("1", "factor from the unit of the mesh to metres, 0.001 for mm"),
+        "length": ("m", "length along the line"),
+        "outlet": ("m", "inner diameter behind it"),
+    },
 }
-"""Kinds of parts, and what each may say."""
-AMOUNTS = {"diameter": "m", "largest_stone": "m", "flow": "m3/s", "recorded": "Pa"}
-"""Numbers of a line that are above 0, with their units."""
+"""Kinds of parts, and the entries of each with their units and meaning; a part without keys states the first."""
 LIMITED_AS = {"largest_stone": "size_max", "recorded": "pressure", "to": "diameter", "outlet": "diameter"}
 """Names of quantities whose limits hold for entries of another name."""
 MOST_PARTS, MOST_POINTS = 2000, 500
@@ -221,7 +248,9 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "join straight parts in a row")
     if "diameter" not in given:
         refuse("diameter", None, "must be given, that of the first part", "as 'diameter: 125 mm'")
-    diameter, stone, flow, recorded = (_above(given, field, unit) for field, unit in AMOUNTS.items())
+    diameter, stone, flow, recorded = (
+        _above(given, field, AMOUNTS[field][0]) for field in ("diameter", "largest_stone", "flow", "recorded")
+    )
     assert diameter is not None
     begin = given.get("begin", "level")
     with within(given, "begin"):
@@ -286,7 +315,7 @@ class _Course:
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
         if not isinstance(said, Mapping):
-            said = {PARTS[kind][0]: said}
+            said = {next(iter(PARTS[kind])): said}
         for key in said:
             one_of(f"part {number}, {kind}: key", key, PARTS[kind])
 
