@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import io
 import os
 import subprocess
-import sys
-import warnings
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
 import click
 
-from ..core.errors import InstabilityError, PlausibilityWarning, WarpcreteError, one_line
+from ..core.errors import InstabilityError, WarpcreteError, one_line
+from .console import prepare_streams
 from .texts import MIX_HELP
 
 # Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
@@ -444,22 +442,6 @@ def explain_command(arguments: tuple[str, ...]) -> None:
     _part("explain").run(_by_method(list(arguments)), _scenes())
 
 
-def _prepare_streams() -> None:
-    """Let no character that the terminal cannot show end the command, and make every warning one line."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    usual = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *more: Any, **others: Any) -> None:
-        if issubclass(category, PlausibilityWarning):
-            click.echo(f"warning: {one_line(str(message))}", err=True)
-        else:
-            usual(message, category, *more, **others)
-
-    warnings.showwarning = show
-
-
 def _fail(text: str, code: int) -> NoReturn:
     """Print an error as one line and exit."""
     click.echo(f"error: {one_line(text)}", err=True)
@@ -468,7 +450,7 @@ def _fail(text: str, code: int) -> NoReturn:
 
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
-    _prepare_streams()
+    prepare_streams()
     try:
         cli(standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -485,5 +467,7 @@ def main() -> None:
         _fail(str(error), 1)
     except WarpcreteError as error:
         _fail(str(error), 2)
+    except UnicodeError as error:
+        _fail(f"{error}; use a UTF-8 locale (LC_ALL=C.UTF-8), or names of plain letters", 2)
     except OSError as error:
         _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)

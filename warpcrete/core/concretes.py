@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import known_names, refuse, suggested
-from .text_files import read_mapping, within
+from .text_files import name_of, read_mapping, within
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
@@ -111,7 +111,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         refuse(
             "concrete", str(path), "says nothing of elements or flow", "give it one of these sections, a mix or a base"
         )
-    return NamedConcrete(**{"name": path.stem, **texts}, **sections, mix=mix)
+    return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:

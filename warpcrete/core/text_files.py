@@ -54,6 +54,15 @@ def check_file(path: Path | str, field: str, most: int = MOST_MESH, hint: str = 
     return Path(path)
 
 
+def name_of(path: Path | str) -> str:
+    """Return the name of a file without its ending, as text that UTF-8 can hold in any locale."""
+    name = Path(path).stem
+    try:
+        return os.fsencode(name).decode("utf-8", "replace")  # the bytes of the name, where the locale is not UTF-8
+    except UnicodeEncodeError:
+        return name
+
+
 def read_text(path: Path, field: str, most: int = MOST_SETTINGS) -> str:
     """Return the text of a UTF-8 file, or raise :class:`SceneError` for `field`, which named it."""
     try:

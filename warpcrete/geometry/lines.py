@@ -15,58 +15,15 @@ from ..core.amounts import amount
 from ..core.concretes import is_file
 from ..core.errors import one_of, positive, refuse, suggested
 from ..core.limits import check_limit, check_velocity
-from ..core.text_files import read_mapping, within
+from ..core.text_files import name_of, read_mapping, within
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting
 from .curves import begins, through
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from .mesh_parts import MeshBore, bore_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
-TEXTS = {
-    "name": "name of the line",
-    "source": "origin of its data",
-    "concrete": "name of a concrete, or the path of its file beside this one",
-}
-"""Texts of a line's file, with their meaning."""
-AMOUNTS = {
-    "recorded": ("Pa", "pressure that was recorded at the pump"),
-    "diameter": ("m", "inner diameter of the first part"),
-    "flow": ("m3/s", "volume flow"),
-    "largest_stone": ("m", "largest stone of the concrete"),
-}
-"""Numbers of a line's file that are above 0, with their units and meaning."""
-KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
-PARTS = {
-    "straight": {
-        "length": ("m", "length of its axis"),
-        "rise": ("m", "height that it gains, to check where the line goes"),
-        "diameter": ("m", "inner diameter, to check that the parts fit"),
-    },
-    "bend": {
-        "angle": ("degrees", "angle; the default goes all the way that 'to' names"),
-        "radius": ("m", "radius of its centreline"),
-        "to": ("", "direction in which it leads"),
-    },
-    "reducer": {"to": ("m", "inner diameter behind it"), "length": ("m", "length of its axis")},
-    "hose": {
-        "points": ("m", "points along its axis from where it begins: ahead, to the left, up"),
-        "layer": ("1", "resistance of its slip layer over that of a pipe"),
-    },
-    "bore": {
-        "file": ("", "mesh file beside this one, which begins at its origin and leads along its x"),
-        "scale": ("1", "factor from the unit of the mesh to metres, 0.001 for mm"),
-        "length": ("m", "length along the line"),
-        "outlet": ("m", "inner diameter behind it"),
-    },
-}
-"""Kinds of parts, and the entries of each with their units and meaning; a part without keys states the first."""
-LIMITED_AS = {"largest_stone": "size_max", "recorded": "pressure", "to": "diameter", "outlet": "diameter"}
-"""Names of quantities whose limits hold for entries of another name."""
-MOST_PARTS, MOST_POINTS = 2000, 500
-"""Parts of a line and points of a hose; the longest lines that were pumped have some hundred parts."""
-BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
-WAYS = ("up", "down", "left", "right", "level", "back")
 SHARPEST = 135.0
 """Bend that one part may make [degrees]."""
 BLOCKING = 3.0
@@ -210,7 +167,7 @@ def read_line(name: Path | str) -> PipeLine:
     Raises :class:`SceneError` for one that cannot be read, or whose parts do not fit.
     """
     given, path = line_file(name)
-    return line_of(given, path.stem, path.parent)
+    return line_of(given, name_of(path), path.parent)
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from ..core.amounts import amount
 from ..core.concretes import is_file, known_only, shipped
 from ..core.errors import one_of, refuse
+from ..core.text_files import name_of
 from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
 from ..theory.pipe import THICKER_LAYERS, Concrete
@@ -40,7 +40,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
                 "slip_thickness", slip_thickness, f"has no printed constants ({printed} have)", "give slip_viscosity"
             )
         given["slip_viscosity"] = match[0]
-    return Concrete(name=Path(name).stem, **{**named, **given})
+    return Concrete(name=name_of(name), **{**named, **given})
 
 
 def flowing() -> list[str]:

@@ -7,13 +7,14 @@ import multiprocessing
 import os
 import shutil
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 from ..core.device import default_threads
-from ..core.errors import WarpcreteError
+from ..core.errors import PlausibilityWarning, WarpcreteError
 from ..core.files import read_json
 from ..core.interrupts import StopAtSample, leave_to_parent
 from ..core.run_loop import Run
@@ -144,6 +145,7 @@ def _begin_worker(stop: Any) -> None:
     global _stop_event
     _stop_event = stop
     leave_to_parent()
+    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has given them
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

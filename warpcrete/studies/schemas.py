@@ -18,9 +18,9 @@ from ..core.errors import refuse, suggested
 from ..core.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
 from ..core.parameters import Above, Alias, Field, OneOf, Within, declared_fields
 from ..dem.pumping import PipeParameters
-from ..geometry.lines import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
-from ..geometry.lines import KEYS as LINE_KEYS
-from ..geometry.lines import TEXTS as LINE_TEXTS
+from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
+from ..geometry.line_entries import KEYS as LINE_KEYS
+from ..geometry.line_entries import TEXTS as LINE_TEXTS
 from ..methods import METHODS
 from ..mix import given as mixes
 from ..mix.points import PUMPED
