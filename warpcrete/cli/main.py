@@ -181,16 +181,17 @@ def theory(
     **values: Any,
 ) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    read = _part("theory").amounts
-    _part("theory").run(
+    job = _part("theory")
+    one, several = job.option_amount, job.option_amounts
+    job.run(
         _part("options").given(values, context),
-        read("flow", flow, "m3/s"),
-        read("pressure", pressure, "Pa"),
+        several("flow", flow, "m3/s"),
+        several("pressure", pressure, "Pa"),
         fit,
-        *read("rest", rest, "s"),
-        *read("thixotropy", thixotropy, "Pa/s"),
-        read("segregation", segregation, "1"),
-        *read("aggregate", aggregate, "m3/m3"),
+        one("rest", rest, "s"),
+        one("thixotropy", thixotropy, "Pa/s"),
+        several("segregation", segregation, "1"),
+        one("aggregate", aggregate, "m3/m3"),
     )
 
 
@@ -393,8 +394,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
               "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
-@click.option("--rest", type=float, help="that the line has stood full [s]: what a restart then takes, by theory")
-@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
+@click.option("--rest", help="that the line has stood full [s], or as '10 min': what a restart then takes, by theory")
+@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)

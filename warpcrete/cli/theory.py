@@ -33,14 +33,18 @@ def fields() -> dict[str, Field]:
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
 
-def amounts(field: str, given: Sequence[str] | str | None, unit: str) -> list[float] | list[float | None]:
-    """Return what options give as numbers in `unit`; of an option that takes one value, that or None."""
+def option_amount(field: str, given: str | None, unit: str) -> float | None:
+    """Return what an option gives as a number in `unit`, or None where it is not given."""
     if given is None:
-        return [None]
-    found = [amount(field, each, unit) for each in ([given] if isinstance(given, str) else given)]
-    for value in found:
-        check_limit(field, value, unit)
+        return None
+    found = amount(field, given, unit)
+    check_limit(field, found, unit)
     return found
+
+
+def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
+    """Return what an option that may be repeated gives as numbers in `unit`."""
+    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
 
 
 def run(

@@ -84,6 +84,7 @@ FASTEST = 10.0
 
 def limit_of(name: str, unit: str) -> Limit | None:
     """Return the limit of a quantity by its name, if its unit is the one meant there, else by its unit."""
+    unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
     if named is not None and named.unit and named.unit == unit:
         return named
@@ -95,7 +96,7 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
     limit = limit_of(name or field, unit)
     if limit is None:
         return
-    shown = f" {unit}" if unit else ""
+    shown = f" {unit}" if unit not in ("", "1", "m3/m3") else ""
     if not math.isfinite(value):
         refuse(field, value, f"must be a finite number{shown}")
     size = abs(value)

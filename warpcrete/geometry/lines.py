@@ -281,7 +281,7 @@ class _Course:
                 refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
             field = f"part {number}, {kind}: {key}"
             found = amount(field, said.get(key, default), unit)
-            check_limit(field, found, "" if unit == "1" else unit, LIMITED_AS.get(key, key))
+            check_limit(field, found, unit, LIMITED_AS.get(key, key))
             return found
 
         if kind == "hose":
