@@ -9,6 +9,7 @@ from dataclasses import asdict
 import numpy as np
 
 from warpcrete.core.knobs import Trading
+from warpcrete.core.limits import check_velocity
 from warpcrete.core.parameters import scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.containers import PipeContainer
@@ -40,6 +41,7 @@ def scene(parameters: PartElements) -> Scene:
     """
     given = parameters
     course = course_of(given)
+    check_velocity("flow", given.flow, course.velocity)
     axis, bores = course.axis, course.bores
     sizes = sizes_of(given, course.narrowest)
     pipe = _pipe(given, course)

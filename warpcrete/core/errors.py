@@ -99,7 +99,7 @@ def suggested(word: Any, known: Iterable[Any]) -> str:
     if not isinstance(word, str):
         return ""
     folded = {str(each).casefold().replace("-", "_"): str(each) for each in known}
-    near = difflib.get_close_matches(word[:LONGEST_VALUE].casefold().replace("-", "_"), folded, 1, 0.7)
+    near = difflib.get_close_matches(word[:LONGEST_VALUE].casefold().replace("-", "_"), folded, 1, 0.6)
     return f"did you mean {folded[near[0]]!r}?" if near else ""
 
 

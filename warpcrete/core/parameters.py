@@ -11,12 +11,12 @@ import dataclasses
 import functools
 import inspect
 import math
+import os
 import re
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -156,7 +156,7 @@ class Field:
         if isinstance(value, str) and "\0" in value:
             refuse(name, value, "holds a NUL character", "leave it out")
         if any(rule.test(value) for rule in self.of_kind(FileIf)):
-            return str(Path(value).resolve())
+            return os.path.realpath(value)
         return value
 
     def number(self, value: Any, name: str) -> Any:
@@ -259,10 +259,12 @@ class SceneFunction(Generic[P, S]):
                 refuse("parameter", name, f"is none of scene {self.module.__name__.rpartition('.')[2]}",
                        known_names(name, known))  # fmt: skip
         try:
+            for name, value in values.items():  # each by itself, before any of them is computed with
+                made = known[name].converted(value, name)
+                known[name].check(made, name)
+                known[name].check_limits(made, name)
             parameters = self.parameters(**values)
             parameters.check_needed()
-            for name, field in known.items():
-                field.check_limits(getattr(parameters, name), name)
             return self._build(parameters)
         except (OverflowError, ZeroDivisionError, MemoryError) as error:
             numbers = {name: value for name, value in values.items()

@@ -12,12 +12,15 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
+from ruamel.yaml.scanner import Scanner
 from ruamel.yaml.tag import Tag
 
 from .errors import one_line
 
-MOST_VALUES = 100_000
+MOST_VALUES = 50_000
 """Values of a YAML file, each counted as often as an alias repeats it."""
+DEEPEST = 100
+"""Lists and mappings within each other."""
 LONGEST_NUMBER = 400
 """Characters of a number."""
 WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -62,13 +65,23 @@ class Untagged(VersionedResolver):
         return super().resolve(kind, value, implicit)
 
 
+class Shallow(Scanner):
+    """Scanner that gives up on deep nesting, for which it would need time that grows with the square of the depth."""
+
+    def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
+        """Begin a list or mapping in brackets."""
+        if len(self.flow_context) >= DEEPEST:
+            raise Unreadable("is nested too deeply", "write plain lists and mappings")
+        super().fetch_flow_collection_start(*arguments, **named)
+
+
 def parsed_yaml(text: str, path: Path) -> Any:
     """Return the value of a YAML text: mappings, lists, text, finite numbers, true, false or None.
 
     Keys are always text. Raises :class:`Unreadable` for anything else; `path` goes into the mappings and lists.
     """
     parser = YAML(typ="safe", pure=True)
-    parser.Resolver = Untagged
+    parser.Resolver, parser.Scanner = Untagged, Shallow
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of anchors that are defined twice

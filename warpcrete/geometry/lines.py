@@ -396,7 +396,7 @@ class _Course:
         length, outlet, scale = get("length", "m"), get("outlet", "m", self.diameter), get("scale", "1", 1.0)
         for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
             positive(f"{field}: {key}", value, "" if key == "scale" else "m")
-        path = (self.folder / file).resolve()
+        path = Path(os.path.realpath(self.folder / file))
         mesh = bore_of(field, path, scale, length, (self.diameter, outlet))
         rise = length * float(self.tangent[2])
         return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), Line(length)

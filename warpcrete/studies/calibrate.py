@@ -79,11 +79,11 @@ def run_calibration(
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch
     _check_trials(most)
-    if at_once < 1:
-        refuse("batch", at_once, "must be 1 or more")
+    if not 1 <= at_once <= MOST_CASES:
+        refuse("batch", at_once, f"must be 1 to {MOST_CASES}")
     if not 0 <= repeat <= MOST_CASES:
         refuse("repeat", repeat, f"must be 0 to {MOST_CASES}")
-    between("seed", seed, 0, math.inf)
+    between("seed", seed, 0, 2**31)
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip

@@ -20,6 +20,7 @@ from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
 from ..core.html import html_table
+from ..core.limits import check_limit
 from ..core.method import Quantity
 from ..core.parameters import declared_fields
 from ..core.provenance import provenance
@@ -246,7 +247,9 @@ def run_listed(
     cases = list(cases)
     if frames is not None:
         positive("frames", frames, "1/s")
+        check_limit("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
+    check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
         # Paths, for one, are written down as the scene has them, whole, and a concrete's parameters by value.

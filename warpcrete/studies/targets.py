@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -132,7 +133,7 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
     """
     raw = read_mapping(path, "targets")
     if isinstance(raw.get("base"), str) and is_file(raw["base"]):
-        raw["base"] = str((path.parent / raw["base"]).resolve())
+        raw["base"] = os.path.realpath(path.parent / raw["base"])
     task = task_of(raw, modules, path.parent)
     raw["targets"] = [
         {**each, "parameters": dict(target.parameters)} for each, target in zip(raw["targets"], task.targets)
@@ -204,7 +205,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     for name, field in _known(modules, given["scene"]).items():
         files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
         if any(rule.test(parameters[name]) for rule in files):
-            parameters[name] = str((folder / parameters[name]).resolve())
+            parameters[name] = os.path.realpath(folder / parameters[name])
     for name in vary:
         if name in parameters:
             refuse(f"{called} parameters", name, "is held there and varied at once", "leave out one of both")
@@ -218,7 +219,9 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
 def _in_unit(called: str, given: Any, quantity: str) -> Any:
     """Return a text with a unit, as "550 mm", as a number in the unit of the `quantity`; anything else as it is."""
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
-    if isinstance(given, str) and units.get(quantity) in UNITS:
+    if isinstance(given, str) and quantity not in units:
+        refuse("quantity", quantity, "is measured in no scene", known_names(quantity, units))
+    if isinstance(given, str) and units[quantity] in UNITS:
         return amount(called, given, units[quantity])
     return given
 

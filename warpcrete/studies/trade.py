@@ -18,6 +18,7 @@ from typing import Any
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.limits import check_limit
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
 from .asked import module_of
@@ -99,6 +100,7 @@ def run_trade(
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
     positive("budget", budget, "s")
+    check_limit("budget", budget, "s")
     threads = 1 if threads is None and scheduler else threads
     _check_cores(scheduler, workers, device, threads)
     check_new(out)
@@ -172,6 +174,7 @@ def resume_trade(
     if version != now:
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
     positive("budget", budget, "s")
+    check_limit("budget", budget, "s")
     if scheduler is None:
         find_device(trade.device)
     # Of GPUs all that there are, as with a study.
