@@ -57,6 +57,10 @@ def test_what_is_shipped_and_shown_is_valid():
         assert errors("line", read_mapping(path, "it")) == [], path
     assert errors("line", example(LINE_HELP)) == []
     assert errors("targets", example(CALIBRATE_HELP)) == []
+    kept = sorted((ROOT / "notebooks" / "targets").glob("*.yaml"))
+    assert kept
+    for path in kept:
+        assert errors("targets", read_mapping(path, "it")) == [], path
 
 
 @pytest.mark.parametrize(
