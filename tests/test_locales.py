@@ -7,7 +7,7 @@ import sys
 import pytest
 
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
-SITE = "name: Brückenpfeiler – 中\ndiameter: 125 mm\nflow: 20 m3/h\nconcrete: {}\nparts:\n  - straight: 10 m\n"
+SITE = "name: Brückenpfeiler · 中\ndiameter: 125 mm\nflow: 20 m3/h\nconcrete: {}\nparts:\n  - straight: 10 m\n"
 MIX = "name: Größtkorn\nsource: Bücher\nmix: {density: 2300, spread: 600 mm, sizes: [4 mm, 16 mm]}\n"
 
 
@@ -24,7 +24,7 @@ def test_names_that_the_terminal_cannot_show_end_nothing(tmp_path, name):
     (tmp_path / name).write_text(text if name == "site.yaml" else text.partition("\n")[2], encoding="utf-8")
     done = command(tmp_path, "line", name, "--theory", "--out", "oü")
     assert done.returncode == 0, done.stderr
-    title = "Brückenpfeiler – 中" if name == "site.yaml" else "Bögen"
+    title = "Brückenpfeiler · 中" if name == "site.yaml" else "Bögen"
     text = (tmp_path / "oü" / "line.md").read_text(encoding="utf-8")
     assert f"**{title}**" in text and text.endswith("\n")
 

@@ -80,8 +80,7 @@ class LazyGroup(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None:
-            known = ", ".join(_scenes())
-            raise click.UsageError(f"scene = {args[0]!r}: must be one of {known}, or the path of a scene.json")
+            _part("options").check_scene(args[0], _scenes(), ", or the path of a scene.json")
         return super().resolve_command(ctx, args)
 
 

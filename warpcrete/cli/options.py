@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from ..core.amounts import amount
+from ..core.errors import suggested
 from ..core.parameters import Alias, Field, OneOf
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
@@ -100,6 +101,15 @@ def given(values: Mapping[str, Any], context: click.Context | None = None) -> di
     context = context or click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
+
+
+def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
+    """Refuse a name that no scene has; `more` says what else may stand there."""
+    if name not in modules:
+        meant = suggested(name, modules)
+        raise click.UsageError(
+            f"scene = {name!r}: must be one of {', '.join(modules)}{more}" + f"; {meant}" * bool(meant)
+        )
 
 
 def run_options() -> list[click.Parameter]:

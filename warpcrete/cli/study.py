@@ -15,7 +15,7 @@ from ..core.parameters import Alias, Field, declared_fields
 from ..core.progress import ProgressBar
 from ..record.recorders import RECORDERS
 from ..studies.study import Study, resume_study, run_study
-from .options import quantity_of
+from .options import check_scene, quantity_of
 from .run import CHECK_FAILED, INTERRUPTED
 
 CASE_FAILED = 1
@@ -151,8 +151,7 @@ def _resumed(
 def _begun(
     scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
 ) -> Study:
-    if scene not in modules:
-        raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+    check_scene(scene, modules)
     module = modules[scene]
     lists = parameter_values(module, options)
     return run_study(
