@@ -6,6 +6,7 @@ import time
 import warnings
 
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 from warpcrete import SceneError, scenes
@@ -15,6 +16,7 @@ from warpcrete.core.amounts import UNITS, amount
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
 from warpcrete.core.limits import LIMITS, check_limit, limit_of
 from warpcrete.core.parameters import Above, Within, declared_fields
+from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
@@ -275,6 +277,23 @@ def test_cases_of_a_study_are_counted_before_they_are_made():
 def test_long_columns_are_refused_before_they_are_laid_out():
     assert "particles; at most" in refused(lambda: scenes.tube(length=9e3), "length")
     assert "at most" in refused(lambda: line_of({"diameter": 0.1, "parts": [{"straight": 1}] * 2001}), "parts")
+
+
+def test_places_beyond_all_lines_are_refused_without_a_warning(tmp_path):
+    parts = [{"straight": 1}, {"hose": {"points": [[1e300, 0, 0]]}}]
+    refused(lambda: line_of({"diameter": 0.1, "parts": parts}), "part 2, hose: points")
+    mesh = tmp_path / "far.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1e30 0\nf 1 2 3\n", encoding="utf-8")
+    text = refused(lambda: scenes.pipe(wall=str(mesh)), "wall")
+    assert "has a corner 1e+30 m away; at most 10000 m are possible" in text
+    assert "elbow" not in refused(lambda: scenes.part(straight=1e300), "straight")
+
+
+def test_meshes_of_too_many_triangles_are_refused(monkeypatch):
+    monkeypatch.setattr(meshes, "MOST_FACES", 11)
+    assert "has 12 triangles; at most 11 are read" in refused(
+        lambda: meshes.load(trimesh.creation.box(), "wall"), "wall"
+    )
 
 
 def test_the_nearest_word_is_suggested():

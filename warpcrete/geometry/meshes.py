@@ -44,9 +44,10 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     else:
         path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
         try:
-            mesh = trimesh.load_mesh(path)
-            if isinstance(mesh, trimesh.Scene):
-                mesh = mesh.to_mesh()
+            with np.errstate(all="ignore"):  # what is wrong with its numbers is told below
+                mesh = trimesh.load_mesh(path)
+                if isinstance(mesh, trimesh.Scene):
+                    mesh = mesh.to_mesh()
         except Exception as error:  # trimesh raises whatever its readers raise
             # A file of noise ends in whatever reader is tried last, or in one that is not installed.
             why = "it is damaged or of another kind" if isinstance(error, ImportError) else " ".join(str(error).split())
