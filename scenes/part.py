@@ -14,6 +14,7 @@ import numpy as np
 from warpcrete.core.concretes import is_file
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.limits import check_velocity
 from warpcrete.core.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -90,6 +91,7 @@ def scene(parameters: PartParameters) -> PartScene:
     course = _unit(given) if given.line is None else _line(given)
     narrow = course.bores.smallest
     Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
+    check_velocity("flow", given.flow, given.flow / (math.pi * narrow**2))
     bores = replace(course.bores, radii=tuple(radius - given.slip_thickness for radius in course.bores.radii))
     return PartScene(
         name="part",

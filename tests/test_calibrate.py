@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
+from warpcrete.core.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibrate import calibrate, resume_calibration
@@ -185,7 +185,7 @@ targets:
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; known are"),
         (("quantity: pressure, ", ""), "needs quantity"),
-        (("value: 12e3", "value: .nan"), "target 1 value = nan: must be a finite number"),
+        (("value: 12e3", "value: .nan"), "line 4: has .nan, which is no finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),
         (("2%", "0"), "uncertainty = 0: must be a number above 0"),
@@ -301,7 +301,7 @@ def test_the_file_of_a_pipes_concrete_holds_all_that_it_had(tmp_path):
     task = task_of(raw, modules())
     found = SimpleNamespace(task=task, best={"friction": 0.123})
     path = tmp_path / "concrete.yaml"
-    path.write_text(yaml.safe_dump(concrete_of(found, modules())))
+    path.write_text(yaml_text(concrete_of(found, modules())))
     ours, theirs = scenes.pipe(concrete=path), scenes.pipe(friction=0.123)
     assert (ours.contact, ours.contacts, ours.bonds) == (theirs.contact, theirs.contacts, theirs.bonds)
 

@@ -95,8 +95,8 @@ def test_a_base_beside_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (None, "cannot be read"),
-        ("- a\n- b", "holds list"),
+        (None, "is no file"),
+        ("- a\n- b", "holds a list"),
         ("a: [", "is no YAML"),
         ("name: x", "says nothing of elements or flow"),
         ("elements: 3", "must be 'name: value' lines"),

@@ -166,7 +166,7 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
         (lambda: scenes.pipe(shapes=5), "shapes = 5: must be text"),
         (lambda: scenes.pipe(bonds="no"), "bonds = 'no': must be True or False"),
         (lambda: scenes.pipe(seed=1.5), "seed = 1.5: must be a whole number"),
-        (lambda: scenes.pipe(diametre=0.1), "unexpected keyword argument 'diametre'"),
+        (lambda: scenes.pipe(diametre=0.1), "parameter = 'diametre': is none of scene pipe; did you mean 'diameter'"),
         (lambda: ball(sizes=[1.0, 2.0]), "sizes = .*must be one number or 1 numbers"),
         (lambda: ball(positions="here"), "positions = 'here'"),
         (lambda: ball(orientations=np.array([[0, 2.0, 0, 2.0]])), "must be unit quaternions"),

@@ -106,6 +106,51 @@ def test_no_part_of_the_program_asks_which_method_it_has():
                 assert word not in path.read_text(), f"{path.name} names {word}"
 
 
+def calls_without_encoding(source: str) -> list[str]:
+    """Calls that read or write text in the encoding of the locale."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        named = {each.arg for each in node.keywords}
+        modes = [
+            each.value for each in ast.walk(node) if isinstance(each, ast.Constant) and isinstance(each.value, str)
+        ]
+        binary = any(re.fullmatch("[rwax+]*b[rwax+]*", mode) for mode in modes)
+        opens = (
+            name == "open"
+            and not binary
+            and not (isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) == "os")
+        )
+        if "encoding" not in named and (
+            name in ("read_text", "write_text") or opens or named & {"text", "universal_newlines"}
+        ):
+            found.append(ast.unparse(node))
+    return found
+
+
+def test_text_is_read_and_written_as_utf_8():
+    assert calls_without_encoding("path.open('w'); open(x); p.read_text(); run(c, text=True); p.write_text(s)")[4]
+    assert not calls_without_encoding("path.open('wb'); open(x, encoding='utf-8'); os.open(p, 1)")
+    for module, path in MODULES.items():
+        assert not calls_without_encoding(path.read_text(encoding="utf-8")), module
+
+
+PARSERS = {"json.load", "json.loads", "csv.reader", "csv.DictReader", "yaml.load", "yaml.safe_load", "YAML"}
+OWN_FILES = {"record.loading": "csv.reader", "studies.explain": "json.loads", "core.checkpoint": "json.loads",
+             "studies.line_run": "json.loads"}  # fmt: skip
+"""Modules that parse what the program itself has written, or holds in memory."""
+
+
+def test_files_of_users_are_parsed_in_one_place():
+    for module, path in MODULES.items():
+        calls = [n.func for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
+        used = {ast.unparse(call) for call in calls} & PARSERS
+        if module not in ("core.text_files", "core.yaml_files"):
+            assert used <= {OWN_FILES.get(module)}, f"{module} uses {used}"
+
+
 def test_every_array_says_what_it_is():
     """Meaning, unit and shape: a comment for each member of a struct of arrays, a docstring for each typed array."""
     counted = 0
@@ -201,6 +246,7 @@ def test_wheel_holds_the_package_and_nothing_else(tmp_path):
     wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete").rglob("*.py")}
     wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "measured").rglob("*.json")}
     wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "measured").rglob("*.yaml")}
+    wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "warpcrete" / "schemas").glob("*.json")}
     assert names == wanted
     assert any(name.endswith("licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 

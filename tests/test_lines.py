@@ -130,7 +130,7 @@ BEND = {"bend": {"to": "up", "radius": 0.5}}
     ("changed", "words"),
     [
         ({"parts": []}, r"^parts = \[\]: must be a list of one part or more"),
-        ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of m, cm, mm"),
+        ({"diameter": "125 mn"}, r"^diameter = '125 mn': must be a number with one of m, mm, cm"),
         ({"diameter": -1}, r"^diameter = -1\.0: must be a finite number above 0 m"),
         ({"speed": 1}, r"^line's key = 'speed': must be one of name, source"),
         ({"begin": ["up"]}, r"^begin = \['up'\]: must be one of level, up, down"),

@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.errors import InstabilityError, SceneError, WarpcreteError
+from warpcrete.core.errors import InstabilityError, PlausibilityWarning, SceneError, WarpcreteError
 from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer, PlasticMortar
 from warpcrete.dem.probes import body_sums, contact_sums
@@ -71,47 +72,20 @@ def test_parts_are_made_or_refused_by_name(data):
 ALL_SCENES = tuple(name.replace("-", "_") for name in modules())
 
 
-def test_a_pipe_of_no_cross_section_is_refused():
-    """Found by the test below: the square of its radius is no number above 0."""
-    for scene in (scenes.channel, scenes.tube):
-        with pytest.raises(SceneError, match=r"^diameter = 1e-166: is so small"):
-            scene(diameter=1e-166)
-
-
 @pytest.mark.parametrize("scene", ALL_SCENES)
 @settings(QUICK, max_examples=60)
 @given(data=st.data())
 def test_a_scene_is_made_or_refused(scene, data):
     name = data.draw(st.sampled_from(list(inspect.signature(getattr(scenes, scene)).parameters)))
     try:
-        made = getattr(scenes, scene)(**{name: data.draw(ANYTHING)})
-    except WarpcreteError:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", PlausibilityWarning)
+            made = getattr(scenes, scene)(**{name: data.draw(ANYTHING)})
+    except WarpcreteError as error:
+        assert str(error).isprintable()
         return
     assert made.duration is None or made.duration > 0
-
-
-@pytest.mark.parametrize("scene", ALL_SCENES)
-def test_nothing_so_large_that_memory_does_not_hold_what_is_made_of_it(scene):
-    # An array that grows with one of these is of terabytes: it is refused at once, and not by a killed process.
-    for name in inspect.signature(getattr(scenes, scene)).parameters:
-        for value in (1e12, 10**12, 1e15):
-            try:
-                getattr(scenes, scene)(**{name: value})
-            except WarpcreteError:
-                continue
-
-
-@pytest.mark.parametrize("name", ["diameter", "plug_ball", "velocity", "plug_layers"])
-@pytest.mark.parametrize("others", [{}, {"plug": "plate"}, {"unit": "bend-to-vertical"}], ids=str)
-def test_numbers_whose_squares_are_beyond_a_float(name, others):
-    for value in (1e155, 1e308, 5e-324):
-        try:
-            assert isinstance(scenes.pipe(**{name: value}, **others), Scene)
-        except WarpcreteError:
-            continue
-    if name not in ("plug_ball", "plug_layers") or "plug" not in others:
-        with pytest.raises(WarpcreteError, match=f"^{name} = a number of 1329 bits"):
-            scenes.pipe(**{name: 10**400}, **others)
 
 
 @st.composite

@@ -43,7 +43,7 @@ def cpu_flags() -> str:
     by side.
     """
     try:
-        features = set(Path("/proc/cpuinfo").read_text().split())
+        features = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())
     except OSError:
         features = set()
     target = "-target-cpu x86-64-v3" if {"avx2", "fma", "bmi2"} <= features else "-march=native"

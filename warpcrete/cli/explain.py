@@ -9,6 +9,7 @@ import click
 
 from ..core.errors import refuse
 from ..studies.explain import explain
+from .options import check_scene
 from .study import parameter_values, parsed, single
 
 ONE = {"device": str, "threads": int, "trade": Path}
@@ -21,8 +22,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     fresh = options.pop("fresh", None)
     if fresh:
         raise click.UsageError("--fresh: takes no value")
-    if scene not in modules:
-        raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+    check_scene(scene, modules)
     values = parameter_values(modules[scene], options)
     for name, given in values.items():
         if len(given) > 1:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ..core.amounts import amount
-from ..core.files import next_folder
+from ..core.errors import positive
+from ..core.files import next_folder, whole_file
+from ..core.limits import check_limit, check_velocity, check_whole
 from ..core.progress import ProgressBar
 from ..core.provenance import fingerprint
 from ..mix.mix import completed, mix_named
@@ -19,15 +22,16 @@ from ..studies.line_result import LineResult, lines_of
 from ..studies.line_run import CELLS, LAYER_FACTOR, run_line
 from ..studies.lines import PipeLine, friction, read_line, restart, with_stone
 from .run import CHECK_FAILED, INTERRUPTED
-from .theory import growth_of
+from .theory import growth_of, option_amount
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
     method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
-    device: str | None, threads: int | None, quiet: bool, rest: float | None, thixotropy: float | None,
+    device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
 ) -> None:  # fmt: skip
     """Run the parts of a line and print what it needs."""
+    stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
     given = read_line(line)
     if flow is None and given.flow is None:
         raise click.UsageError("flow: neither the line nor an option has it; --flow '30 m3/h'")
@@ -42,14 +46,25 @@ def run(
         {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
     for option in (name for name, given_so in unused.items() if given_so):
         raise click.UsageError(f"{option}: means nothing with --method {method}; take both, or leave it out")
-    rate = amount("flow", flow, "m3/s") if flow is not None else given.flow
+    rate = given.flow
+    if flow is not None:
+        rate = amount("flow", flow, "m3/s")
+        positive("flow", rate, "m3/s")
+        check_limit("flow", rate, "m3/s")
+        narrow = min(part.narrow for part in given.parts)
+        check_velocity("flow", rate, 4 * rate / (math.pi * narrow**2))
     assert rate is not None
+    for name, value in (("layer_factor", layer_factor), ("coarse", coarse), ("stiffer", stiffer)):
+        if value is not None:
+            check_limit(name, value, "")
+    check_whole("cells", cells)
+    check_whole("seeds", seeds)
     name = str(concrete or given.concrete)
     mix = mix_named(name)
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
-    growth = growth_of(rest, thixotropy)
-    moved = [] if rest is None else [restart(given, concrete_of(name), rest, growth, q) / 1e5 for q in (0.0, rate)]
+    growth = growth_of(stood, grown)
+    moved = [] if stood is None else [restart(given, concrete_of(name), stood, growth, q) / 1e5 for q in (0.0, rate)]
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
@@ -76,7 +91,7 @@ def run(
     finally:
         progress.close()
     if moved:
-        click.echo(f"\nafter {rest:g} s of rest, grown by {growth:g} Pa/s, it moves from {moved[0]:.4g} bar on; "
+        click.echo(f"\nafter {stood:g} s of rest, grown by {growth:g} Pa/s, it moves from {moved[0]:.4g} bar on; "
                    f"{moved[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
     if (found is not None and found.failed) or (packed is not None and packed.failed):
         raise SystemExit(CHECK_FAILED)
@@ -94,7 +109,8 @@ def _print(
         text = lines_of_elements(packed, others)
         click.echo("\n" + "\n".join(text))
         if folder is not None:
-            (folder / "line-dem.md").write_text("\n".join(text) + "\n")
+            with whole_file(folder / "line-dem.md") as partial:
+                partial.write_text("\n".join(text) + "\n", encoding="utf-8")
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
         click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")

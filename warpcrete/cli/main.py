@@ -9,11 +9,12 @@ import signal
 import threading
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, warn_in_one_line
+from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
+from .console import prepare_streams
 from .texts import MIX_HELP
 
 LAST_WORDS = 3.0
@@ -83,8 +84,7 @@ class LazyGroup(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None:
-            known = ", ".join(_scenes())
-            raise click.UsageError(f"scene = {args[0]!r}: must be one of {known}, or the path of a scene.json")
+            _part("options").check_scene(args[0], _scenes(), ", or the path of a scene.json")
         return super().resolve_command(ctx, args)
 
 
@@ -169,24 +169,33 @@ class TheoryCommand(click.Command):
 
 
 @cli.command("theory", cls=TheoryCommand)
-@click.option("--flow", multiple=True, type=float, help="[m3/s]; may be repeated  [default: 0.0015]")
-@click.option("--pressure", multiple=True, type=float, help="[Pa]; may be repeated: the flow that it drives")
+@click.option("--flow", multiple=True, help="[m3/s], or as '35 m3/h'; may be repeated  [default: 0.0015]")
+@click.option("--pressure", multiple=True, help="[Pa], or as '50 bar'; may be repeated: the flow that it drives")
 @click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
               "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
-@click.option("--rest", type=float, help="that the concrete has stood [s]: what a restart then takes")
-@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
-@click.option("--segregation", multiple=True, type=float, help="aggregate in the outer half of the radius less that in "
+@click.option("--rest", help="that the concrete has stood [s], or as '10 min': what a restart then takes")
+@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
+@click.option("--segregation", multiple=True, help="aggregate in the outer half of the radius less that in "
               "the inner half, over its mean share: what it does to a pipe's pressure; may be repeated")  # fmt: skip
-@click.option("--aggregate", type=float, help="its share of the volume, for --segregation  [default: a mix's own]")
+@click.option("--aggregate", help="its share of the volume, for --segregation  [default: a mix's own]")
 @click.pass_context
 def theory(
-    context: click.Context, flow: tuple[float, ...], pressure: tuple[float, ...], fit: Path | None,
-    rest: float | None, thixotropy: float | None, segregation: tuple[float, ...], aggregate: float | None,
+    context: click.Context, flow: tuple[str, ...], pressure: tuple[str, ...], fit: Path | None,
+    rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
     """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
-    _part("theory").run(
-        _part("options").given(values, context), flow, pressure, fit, rest, thixotropy, segregation, aggregate
+    job = _part("theory")
+    one, several = job.option_amount, job.option_amounts
+    job.run(
+        _part("options").given(values, context),
+        several("flow", flow, "m3/s"),
+        several("pressure", pressure, "Pa"),
+        fit,
+        one("rest", rest, "s"),
+        one("thixotropy", thixotropy, "Pa/s"),
+        several("segregation", segregation, "1"),
+        one("aggregate", aggregate, "m3/m3"),
     )
 
 
@@ -395,8 +404,8 @@ Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check o
               "of the same parts are taken")  # fmt: skip
 @click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
-@click.option("--rest", type=float, help="that the line has stood full [s]: what a restart then takes, by theory")
-@click.option("--thixotropy", type=float, help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
+@click.option("--rest", help="that the line has stood full [s], or as '10 min': what a restart then takes, by theory")
+@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)
@@ -409,6 +418,18 @@ def line_command(line: str, **settings: Any) -> None:
 )
 def mix_command(name: str, out: Path | None) -> None:
     _part("mix").run(name, out)
+
+
+@cli.command("schema")
+@click.argument("kind", required=False)
+@click.option("--path", is_flag=True, help="print the path of the shipped file instead")
+def schema_command(kind: str | None, path: bool) -> None:
+    """Print the JSON schema of a kind of file: concrete, mix, line or targets. By it editors complete and check such
+    files, with '# yaml-language-server: $schema=PATH' as their first line."""
+    if kind is None:
+        raise click.UsageError("kind: name concrete, mix, line or targets")
+    found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
+    click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
 
 
 EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
@@ -432,8 +453,15 @@ def explain_command(arguments: tuple[str, ...]) -> None:
     _part("explain").run(_by_method(list(arguments)), _scenes())
 
 
+def _fail(text: str, code: int) -> NoReturn:
+    """Print an error as one line and exit."""
+    click.echo(f"error: {one_line(text)}", err=True)
+    raise SystemExit(code) from None
+
+
 def main() -> None:
     """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
+    prepare_streams()
     warn_in_one_line()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is on the way is put on disk
     try:
@@ -444,21 +472,19 @@ def main() -> None:
         click.echo(error.format_message())
         raise SystemExit(2) from None
     except click.UsageError as error:
-        click.echo(f"error: {' '.join(error.format_message().split())}", err=True)
-        raise SystemExit(2) from None
+        _fail(" ".join(error.format_message().split()), 2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         raise SystemExit(130) from None
     except InstabilityError as error:
-        click.echo(f"error: {error}", err=True)
-        raise SystemExit(1) from None
+        _fail(str(error), 1)
     except WarpcreteError as error:
-        click.echo(f"error: {error}", err=True)
         if isinstance(error, DiskFullError):  # a library may wait for the disk when the program ends
             end = threading.Timer(LAST_WORDS, os._exit, [2])
             end.daemon = True
             end.start()
-        raise SystemExit(2) from None
+        _fail(str(error), 2)
+    except UnicodeError as error:
+        _fail(f"{error}; use a UTF-8 locale (LC_ALL=C.UTF-8), or names of plain letters", 2)
     except OSError as error:
-        click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)
-        raise SystemExit(2) from None
+        _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import yaml
 
 from ..core.errors import refuse
 from ..core.files import whole_file
+from ..core.yaml_files import yaml_text
 from ..dem.pumping import PipeParameters
 from ..mix.mix import Mix, read_mix
 
@@ -26,7 +26,7 @@ def run(name: str, out: Path | None) -> None:
     click.echo(f"a cone of it by elements: {_cone(mix)}")
     if out is not None:
         with whole_file(out) as partial:
-            partial.write_text(yaml.safe_dump(plain(name, mix), sort_keys=False, allow_unicode=True))
+            partial.write_text(yaml_text(plain(name, mix)), encoding="utf-8")
         click.echo(f"written: {out}")
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from ..core.amounts import amount
+from ..core.errors import suggested
 from ..core.parameters import Alias, Field, OneOf, Spread
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
@@ -82,17 +84,42 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
             if field.kind is bool:
                 option = ParameterOption([f"{flag(name)}/--no-{flag(name)[2:]}", name], **settings)
             else:
-                option = ParameterOption([flag(name), name], type=_kind(field), **settings)
+                option = ParameterOption([flag(name), name], type=_kind(field, name), **settings)
             option.group = field.group
             found.append(option)
     return found
 
 
-def _kind(field: Field) -> Any:
+class Quantity(click.ParamType):
+    """A number, or a text of a number and one of the units that people write."""
+
+    name = "number"
+
+    def __init__(self, field: Field, called: str) -> None:
+        self.field, self.called = field, called
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number in the field's unit."""
+        return quantity_of(value, self.field, self.called)
+
+
+NO_NUMBERS = ("nan", "inf", "infinity")
+
+
+def quantity_of(value: Any, field: Field, called: str) -> float:
+    """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
+    if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
+        return float(value)  # which the field's own rule refuses
+    return amount(called, value, field.units)
+
+
+def _kind(field: Field, called: str) -> Any:
     if any(field.of_kind(Spread)):
         return str
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
-    return click.Choice(list(choices)) if choices and field.kind is str else field.kind
+    if choices and field.kind is str:
+        return click.Choice(list(choices))
+    return Quantity(field, called) if field.kind is float else field.kind
 
 
 def flag(name: str) -> str:
@@ -105,6 +132,15 @@ def given(values: Mapping[str, Any], context: click.Context | None = None) -> di
     context = context or click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
+
+
+def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
+    """Refuse a name that no scene has; `more` says what else may stand there."""
+    if name not in modules:
+        meant = suggested(name, modules)
+        raise click.UsageError(
+            f"scene = {name!r}: must be one of {', '.join(modules)}{more}" + f"; {meant}" * bool(meant)
+        )
 
 
 def run_options() -> list[click.Parameter]:

@@ -36,7 +36,7 @@ def run(
                               processes=processes, progress=tell)  # fmt: skip
     finally:
         progress.close()
-    click.echo("\n" + (found.folder / "reproduction.md").read_text())
+    click.echo("\n" + (found.folder / "reproduction.md").read_text(encoding="utf-8"))
     click.echo(f"folder: {found.folder}")
     if not found.finished:
         click.echo(f"go on with: warpcrete reproduce --resume {found.folder}")

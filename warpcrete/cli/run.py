@@ -13,6 +13,7 @@ from ..core.device import default_threads
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json
 from ..core.interrupts import StopAtSample
+from ..core.limits import check_limit
 from ..core.method import report_of
 from ..core.parameters import declared_fields
 from ..core.progress import ProgressBar
@@ -72,7 +73,9 @@ def run(
     frames, every = settings["frames"], settings["checkpoint_every"]
     if frames is not None:
         positive("frames", frames, "1/s")
+        check_limit("frames", frames, "1/s")
     between("checkpoint_every", every, 0, float("inf"), "s")
+    check_limit("checkpoint_every", every, "s")
     precision = settings["precision"]
     if "precision" in declared_fields(module.scene.parameters):
         parameters = parameters | {"precision": precision}
@@ -138,6 +141,7 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
     for field, value in lengths.items():
         if value is not None:
             between(field, value, 0, float("inf"), "m")
+            check_limit(field, value, "m")
     source = settings["pipeline_other"]
     if all(value is None for value in lengths.values()):
         if source is not None:

@@ -9,12 +9,13 @@ from typing import Any
 import click
 
 from ..core.device import PRECISIONS
-from ..core.errors import RunFolderError
+from ..core.errors import RunFolderError, suggested
 from ..core.files import next_folder, read_json
 from ..core.parameters import Alias, Field, Spread
 from ..core.progress import ProgressBar
 from ..record.recorders import RECORDERS
 from ..studies.study import Study, resume_study, run_study
+from .options import check_scene, quantity_of
 from .run import CHECK_FAILED, INTERRUPTED
 
 CASE_FAILED = 1
@@ -151,8 +152,7 @@ def _resumed(
 def _begun(
     scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
 ) -> Study:
-    if scene not in modules:
-        raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+    check_scene(scene, modules)
     module = modules[scene]
     lists = parameter_values(module, options)
     return run_study(
@@ -190,8 +190,10 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
         negative = option.startswith("no-") and option[3:].replace("-", "_") in known
         name = (option[3:] if negative else option).replace("-", "_")
         if name not in known:
+            meant = suggested(name, known).replace("_", "-").replace("'", "")
             raise click.UsageError(
-                f"--{option}: is no parameter of this scene; 'warpcrete run SCENE --help' lists them"
+                f"--{option}: is no parameter of this scene; "
+                + (meant or "'warpcrete run SCENE --help' lists them").replace("you mean ", "you mean --")
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):
@@ -200,7 +202,10 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
             words = words or ["false" if negative else "true"]
         if not words:
             raise click.UsageError(f"--{option}: needs a value or several")
-        found[name] = [converted(option, word, kind) for word in words]
+        if kind is float:
+            found[name] = [quantity_of(word, known[name], option) for word in words]
+        else:
+            found[name] = [converted(option, word, kind) for word in words]
     return found
 
 

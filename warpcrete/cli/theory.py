@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 
 import click
 
+from ..core.amounts import amount
 from ..core.errors import refuse
+from ..core.limits import check_limit, check_velocity
 from ..core.parameters import Field, declared_fields, resolved
 from ..mix.mix import mix_named
 from ..mix.points import read_points
@@ -30,8 +33,22 @@ def fields() -> dict[str, Field]:
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
 
+def option_amount(field: str, given: str | None, unit: str) -> float | None:
+    """Return what an option gives as a number in `unit`, or None where it is not given."""
+    if given is None:
+        return None
+    found = amount(field, given, unit)
+    check_limit(field, found, unit)
+    return found
+
+
+def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
+    """Return what an option that may be repeated gives as numbers in `unit`."""
+    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
+
+
 def run(
-    given: dict[str, Any], flows: tuple[float, ...], pressures: tuple[float, ...], fit: Path | None = None,
+    given: dict[str, Any], flows: Sequence[float], pressures: Sequence[float], fit: Path | None = None,
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
@@ -43,12 +60,16 @@ def run(
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
     values |= {name: value for name, value in file_constants(values).items() if values[name] is None}
     for name, field in known.items():
+        values[name] = field.converted(values[name], name)
         field.check(values[name], name)
+        field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
     if fit is not None:  # what is looked for need not be given
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
+    for flow in flows:
+        check_velocity("flow", flow, 4 * flow / (math.pi * values["diameter"] ** 2))
     line = Line(radius=values["diameter"] / 2, slip_thickness=thickness, **{name: values[name] for name in LINE})
     if fit is not None:
         measured, pressed = read_points(fit)

@@ -14,6 +14,7 @@ from ..core.progress import ProgressBar
 from ..studies.trade import resume_trade, run_trade
 from ..studies.trade_report import table
 from ..studies.trading import Trade
+from .options import check_scene
 from .run import INTERRUPTED
 from .study import ON_WORKERS, parameter_values, parsed, single
 
@@ -48,8 +49,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         if "resume" in settings:
             trade = _resumed(scene, settings, options | lists, modules, anew | {"progress": tell})
         else:
-            if scene not in modules:
-                raise click.UsageError(f"scene = {scene!r}: must be one of {', '.join(modules)}")
+            check_scene(scene, modules)
             values = parameter_values(modules[scene], options)
             for name, given in values.items():
                 if len(given) > 1:

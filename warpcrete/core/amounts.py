@@ -9,41 +9,65 @@ from typing import Any
 
 import numpy as np
 
-from .errors import refuse
+from .errors import refuse, suggested
 
 NUMBERS = (int, float, np.integer, np.floating)
 UNITS = {
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048},
-    "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "l/s": 1e-3, "L/s": 1e-3, "l/min": 1e-3 / 60,
-             "L/min": 1e-3 / 60},
-    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+          "ft": 0.3048, "feet": 0.3048, "yd": 0.9144},
+    "m2": {"m2": 1.0, "m²": 1.0, "cm2": 1e-4, "mm2": 1e-6},
+    "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "m³/s": 1.0, "l/s": 1e-3, "L/s": 1e-3,
+             "l/min": 1e-3 / 60, "L/min": 1e-3 / 60, "cm3/s": 1e-6, "yd3/h": 0.9144**3 / 3600,
+             "yd³/h": 0.9144**3 / 3600, "cy/h": 0.9144**3 / 3600},
+    "Pa": {"Pa": 1.0, "bar": 1e5, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 100.0, "N/mm2": 1e6,
+           "psi": 0.45359237 * 9.80665 / 0.0254**2},
+    "Pa/s": {"Pa/s": 1.0, "Pa/min": 1 / 60},
     "degrees": {"degrees": 1.0, "deg": 1.0, "°": 1.0, "rad": 180 / math.pi},
-    "kg/m3": {"kg/m3": 1.0, "kg/m³": 1.0, "t/m3": 1e3, "t/m³": 1e3, "g/cm3": 1e3, "kg/l": 1e3, "kg/L": 1e3},
+    "kg/m3": {"kg/m3": 1.0, "t/m3": 1e3, "kg/m³": 1.0, "t/m³": 1e3, "g/cm3": 1e3, "kg/l": 1e3, "kg/L": 1e3,
+              "lb/ft3": 0.45359237 / 0.3048**3, "lb/yd3": 0.45359237 / 0.9144**3},
     "m3/m3": {"m3/m3": 1.0, "%": 1e-2, "l/m3": 1e-3, "L/m3": 1e-3, "l/m³": 1e-3},
     "1": {"1": 1.0, "%": 1e-2},
-    "s": {"s": 1.0, "min": 60.0},
-    "1/s": {"1/s": 1.0},
-    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "1/s": {"1/s": 1.0, "Hz": 1.0},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "ft/s": 0.3048},
+    "m/s2": {"m/s2": 1.0, "m/s²": 1.0},
+    "m2/N": {"m2/N": 1.0, "m²/N": 1.0, "1/Pa": 1.0},
+    "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
 }  # fmt: skip
-"""By the unit in which the program has an amount, what one of each unit that people write is in it."""
+"""Units that people write, by the unit in which the program has an amount, and how many of the latter each is."""
+
+
+NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+"""A number, and the unit behind it."""
+
+
+def bare_number(given: Any) -> bool:
+    """Return whether `given` is a number, or a text of one without a unit."""
+    text = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    return text is not None and not text[2] if isinstance(given, str) else isinstance(given, NUMBERS)
 
 
 def amount(field: str, given: Any, unit: str) -> float:
-    """A number in `unit`, one of :data:`UNITS`, or a text of a number and a unit of the same kind, in `unit`.
+    """Return a number in `unit`, one of :data:`UNITS`, from a number or from a text of a number and a unit.
 
     Raises :class:`SceneError` for anything else.
     """
     known = UNITS[unit]
-    found = math.nan
+    found, more = math.nan, ""
     if isinstance(given, str):
-        text = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*", given)
+        text = NUMBER.fullmatch(given)
         if text is not None and (not text[2] or text[2] in known):
             found = float(text[1]) * known[text[2] or unit]
+        elif re.match(r"\s*[-+]?\d+,\d", given):
+            more = "; a decimal comma? write a point, as 10.3"
+        elif text is not None and (meant := suggested(text[2], known)):
+            more = f"; {meant}"
     elif isinstance(given, NUMBERS) and not isinstance(given, bool):
         with suppress(OverflowError):
             found = float(given)
     if not math.isfinite(found):
-        refuse(field, given, f"must be a number with one of {', '.join(known)}", f"without one it is in {unit}")
+        units = ", ".join(known) if unit != "1" else "no unit, or with %"
+        refuse(field, given, f"must be a number with one of {units}{more}",
+               f"without one it is in {unit}" if unit != "1" else "")  # fmt: skip
     return found

@@ -15,16 +15,13 @@ the numbers come from.
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from .errors import refuse
-from .origin import note_file
+from .errors import known_names, refuse, suggested
+from .text_files import name_of, read_mapping, within
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
@@ -33,15 +30,6 @@ TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
 LONGEST_CHAIN = 10
 """Of concretes that are each the base of the next."""
-
-
-class Numbers(yaml.SafeLoader):
-    """YAML of which 1e5 is a number, as in YAML 1.2 and everywhere else."""
-
-
-Numbers.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
 
 
 @dataclass(frozen=True)
@@ -69,20 +57,6 @@ class NamedConcrete:
     mix: MixSection | None = None
 
 
-def read_yaml(path: Path, name: str) -> Mapping[str, Any]:
-    """The mapping that a file holds; `name` is the field that named it. Raises :class:`SceneError` without one."""
-    try:
-        note_file(path)
-        found = yaml.load(path.read_text(encoding="utf-8"), Numbers)
-    except OSError as error:
-        refuse(name, str(path), f"cannot be read ({error.strerror})", "give the path of a file that can")
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        refuse(name, str(path), f"is no YAML: {' '.join(str(error).split())}", "write 'key: value' lines")
-    if not isinstance(found, Mapping):
-        refuse(name, str(path), f"holds {type(found).__name__}, not 'key: value' lines", "see a shipped one")
-    return found
-
-
 def shipped() -> tuple[str, ...]:
     """Names of the concretes that come with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
@@ -98,7 +72,8 @@ def concrete(name: str) -> NamedConcrete:
     if is_file(name):
         return _read(Path(name), 0)
     if name not in shipped():
-        refuse("concrete", name, f"must be one of {', '.join(shipped())}, or the path of a .yaml file")
+        refuse("concrete", name, f"must be one of {', '.join(shipped())}, or the path of a .yaml file",
+               suggested(name, shipped()))  # fmt: skip
     return _shipped(name)
 
 
@@ -108,18 +83,21 @@ def _shipped(name: str) -> NamedConcrete:
 
 
 def _read(path: Path, depth: int) -> NamedConcrete:
-    given = read_yaml(path, "concrete")
+    given = read_mapping(path, "concrete")
     if depth > LONGEST_CHAIN:
         refuse("concrete base", str(path), "is its own base, or one of too many", "end the chain of bases")
     for key in given:
         if key not in KEYS:
-            refuse("concrete", str(path), f"has the key {key!r}", f"known are {', '.join(KEYS)}")
+            with within(given, key):
+                refuse("concrete", str(path), f"has the key {key!r}", known_names(key, KEYS))
     texts = {key: str(given[key]) for key in TEXTS if given.get(key) is not None}
     sections = {}
     for section in SECTIONS:
         found = given.get(section) or {}
         if not isinstance(found, Mapping):
-            refuse(f"concrete {section}", found, "must be 'name: value' lines", "indent them below the section's name")
+            with within(given, section):
+                refuse(f"concrete {section}", found, "must be 'name: value' lines",
+                       "indent them below the section's name")  # fmt: skip
         sections[section] = dict(found)
     mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
@@ -133,14 +111,15 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         refuse(
             "concrete", str(path), "says nothing of elements or flow", "give it one of these sections, a mix or a base"
         )
-    return NamedConcrete(**{"name": path.stem, **texts}, **sections, mix=mix)
+    return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     if is_file(name):
         return _read(path.parent / name, depth + 1)
     if name not in shipped():
-        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file beside {path.name}")
+        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file beside {path.name}",
+               suggested(name, shipped()))  # fmt: skip
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 
@@ -148,5 +127,5 @@ def known_only(section: str, values: Mapping[str, Any], known: Collection[str], 
     """Values of a section of the concrete `name`, all of which must be `known`."""
     for key in values:
         if key not in known:
-            refuse(f"concrete {section}", key, f"is not known (in {name})", f"known are {', '.join(known)}")
+            refuse(f"concrete {section}", key, f"is not known (in {name})", known_names(key, known))
     return dict(values)

@@ -42,7 +42,7 @@ def own_cores(threads: int) -> Callable[[], None]:
 def waited(thread: int) -> float:
     """Time that a thread of this process was ready to run and had no core [s]; 0 where the system does not say."""
     try:
-        return 1e-9 * int(Path(f"/proc/self/task/{thread}/schedstat").read_text().split()[1])
+        return 1e-9 * int(Path(f"/proc/self/task/{thread}/schedstat").read_text(encoding="utf-8").split()[1])
     except (OSError, ValueError, IndexError):
         return 0.0
 

@@ -88,7 +88,7 @@ def default_threads() -> int:
     """CPU cores that this process may use, by its affinity and its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
     except (OSError, ValueError):  # no such file, or no quota
         pass
@@ -110,7 +110,7 @@ def memory_free(device: Any) -> float:
     if device.is_cuda:
         return float(device.free_memory)
     try:
-        with open("/proc/meminfo") as file:
+        with open("/proc/meminfo", encoding="utf-8") as file:
             for line in file:
                 if line.startswith("MemAvailable"):
                     return 1024.0 * float(line.split()[1])

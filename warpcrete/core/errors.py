@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import sys
 import warnings
+from collections.abc import Iterable
 from typing import Any, NoReturn
 
 import numpy as np
+
+LONGEST_VALUE = 160
+"""Characters of a value, or of the name of a field, that a message quotes."""
+LONGEST_MESSAGE = 2000
+"""Characters of any other part of a message."""
+LONGEST_NUMBER = 128
+"""Bits of an integer that a message writes out."""
+FEW = 12
+"""Number of names that a message lists in full although it suggests one of them."""
 
 
 class WarpcreteError(Exception):
@@ -60,18 +71,60 @@ class CapacityError(WarpcreteError):
     """A list of fixed size was too short and could not be grown."""
 
 
+class PlausibilityWarning(UserWarning):
+    """A value is possible but unlikely, as a pipe of 3 m would be."""
+
+
+def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
+    """Return `text` without control characters and line breaks, and without its middle if it exceeds `longest`."""
+    if len(text) > longest:
+        half = longest // 2
+        text = f"{text[:half]} ... ({len(text) - 2 * half} characters left out) ... {text[-half:]}"
+    return "".join(each if each.isprintable() else " " if each in "\r\n\t" else ascii(each)[1:-1] for each in text)
+
+
+def quoted(value: Any) -> str:
+    """Return `value` as a message quotes it, shortened if it is long."""
+    if isinstance(value, int) and value.bit_length() > LONGEST_NUMBER:
+        return f"a number of {value.bit_length()} bits"
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # nested too deeply, or holding an integer of thousands of digits
+        text = f"<{type(value).__name__}>"
+    return one_line(text, LONGEST_VALUE)
+
+
 def warn_in_one_line() -> None:
     """Show the warnings of this process as lines on stderr, without the places in the code that they come from."""
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+        print(f"warning: {one_line(str(message))}", file=sys.stderr)
 
     warnings.showwarning = show
 
 
 def refuse(field: str, value: Any, allowed: str, hint: str = "") -> NoReturn:
     """Raise :class:`SceneError` for `field`."""
-    raise SceneError(f"{field} = {value!r}: {allowed}" + (f"; {hint}" if hint else ""))
+    said = f"{one_line(field, LONGEST_VALUE)} = {quoted(value)}: {one_line(allowed)}"
+    raise SceneError(said + (f"; {one_line(hint)}" if hint else ""))
+
+
+def suggested(word: Any, known: Iterable[Any]) -> str:
+    """Return "did you mean ...?" with the nearest of the `known` words, or nothing if none is near."""
+    if not isinstance(word, str):
+        return ""
+    folded = {str(each).casefold().replace("-", "_"): str(each) for each in known}
+    near = difflib.get_close_matches(word[:LONGEST_VALUE].casefold().replace("-", "_"), folded, 1, 0.6)
+    return f"did you mean {folded[near[0]]!r}?" if near else ""
+
+
+def known_names(word: Any, known: Iterable[Any]) -> str:
+    """Return the `known` words to choose from; of many, only the one that was probably meant, if there is one."""
+    names = [str(each) for each in known]
+    meant = suggested(word, names)
+    if meant and len(names) > FEW:
+        return meant
+    return f"known are {', '.join(names)}" + (f"; {meant}" if meant else "")
 
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
@@ -91,8 +144,9 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 def one_of(field: str, value: Any, choices: Any) -> None:
     """Refuse anything but one of `choices`."""
-    if value not in list(choices):  # what cannot be hashed is refused, too
-        refuse(field, value, f"must be one of {', '.join(map(str, choices))}")
+    choices = list(choices)  # a list, because the value may not be hashable
+    if value not in choices:
+        refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 
 
 def vector(field: str, value: Any) -> tuple[float, float, float]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .errors import DiskFullError, RunFolderError
+from .text_files import saved_json
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a disk, a quota or a limit of the process that takes no more."""
@@ -84,7 +85,7 @@ def room_in(folder: Path, needed: int = 0) -> OSError | None:
 def write_json(path: Path, data: Any) -> None:
     """Write JSON; a reader never sees half a file."""
     with whole_file(path) as partial:
-        partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n")
+        partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _finite(data: Any) -> Any:
@@ -100,13 +101,7 @@ def _finite(data: Any) -> Any:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Contents of a JSON file that holds an object, or :class:`RunFolderError`."""
-    try:
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise RunFolderError(f"'{path}': cannot be read ({type(error).__name__}: {error})") from error
-    if not isinstance(data, dict):
-        raise RunFolderError(f"'{path}': holds no JSON object")
-    return data
+    return saved_json(path)
 
 
 def check_new(folder: Path) -> None:

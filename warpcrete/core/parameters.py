@@ -11,21 +11,26 @@ import dataclasses
 import functools
 import inspect
 import math
+import os
 import re
 import sys
 import textwrap
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from .errors import SceneError, refuse
+from .amounts import UNITS, amount
+from .errors import SceneError, known_names, one_of, quoted, refuse
+from .limits import check_limit, check_whole
 from .origin import Arguments, files_read
 
 WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
+
+NUMERIC = re.compile(r"\s*[-+]?\.?\d")
+"""Beginning of a text that is meant as a number."""
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -68,8 +73,7 @@ class OneOf:
     choices: tuple[Any, ...]
 
     def check(self, name: str, value: Any, unit: str) -> None:
-        if value not in self.choices:
-            refuse(name, value, f"must be one of {', '.join(map(str, self.choices))}")
+        one_of(name, value, self.choices)
 
 
 @dataclass(frozen=True)
@@ -130,30 +134,59 @@ class Field:
 
     @property
     def unit(self) -> str:
-        """What stands in brackets in the help text."""
+        """Unit in brackets in the help text, after a space; nothing if there is none."""
         found = re.search(r"\[([^\]]+)\]", self.help)
         return f" {found.group(1)}" if found else ""
+
+    @property
+    def units(self) -> str:
+        """Unit by which :data:`UNITS` knows those that may be written instead."""
+        return self.unit.strip() if self.unit.strip() in UNITS else "1"
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
         """Rules of one kind."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
     def converted(self, value: Any, name: str) -> Any:
-        """`value` as the field's type (NumPy numbers become Python's, ints floats), or :class:`SceneError`."""
+        """Return `value` as the field's type, or raise :class:`SceneError`.
+
+        NumPy numbers become Python's, ints floats, and texts such as "125 mm" numbers in the field's unit.
+        """
         if isinstance(value, np.generic):
             value = value.item()
         if value is None and self.optional:
             return None
+        value = self.number(value, name)
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
-            return float(value)
+            try:
+                return float(value)
+            except OverflowError:
+                refuse(name, value, "is beyond what can be computed with", "use SI units")
+        if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
+            check_whole(name, value)
+        if self.kind is float and isinstance(value, float):
+            return value + 0.0  # without the sign of a zero
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+        if isinstance(value, str) and "\0" in value:
+            refuse(name, value, "holds a NUL character", "leave it out")
         if any(rule.test(value) for rule in self.of_kind(FileIf)):
-            return str(Path(value).resolve())
+            return os.path.realpath(value)
         return value
+
+    def number(self, value: Any, name: str) -> Any:
+        """Return a text such as "125 mm" as a number in the field's unit, and anything else as it is."""
+        if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
+            return amount(name, value, self.units)
+        return value
+
+    def check_limits(self, value: Any, name: str) -> None:
+        """Refuse a number that is impossible for any scene, and warn of an unlikely one."""
+        if isinstance(value, float):
+            check_limit(name, value, self.unit.strip(), self.name)
 
     def check(self, value: Any, name: str) -> None:
         """Raise :class:`SceneError` where a rule is broken."""
@@ -260,9 +293,13 @@ class SceneFunction(Generic[P, S]):
         values = self.assembled(self.completed(given))
         for name in values:
             if name not in known:
-                refuse("parameters", sorted(given), f"got an unexpected keyword argument {name!r}",
-                       f"known are {', '.join(known)}")  # fmt: skip
+                refuse("parameter", name, f"is none of scene {self.module.__name__.rpartition('.')[2]}",
+                       known_names(name, known))  # fmt: skip
         try:
+            for name, value in values.items():  # each by itself, before any of them is computed with
+                made = known[name].converted(value, name)
+                known[name].check(made, name)
+                known[name].check_limits(made, name)
             parameters = self.parameters(**values)
             parameters.check_needed()
             with files_read() as files:
@@ -270,14 +307,15 @@ class SceneFunction(Generic[P, S]):
                 values, lost = self._written(parameters)
             object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
             return scene
-        except OverflowError as error:
-            numbers = {name: value for name, value in values.items() if isinstance(value, (int, float)) and value}
+        except (OverflowError, ZeroDivisionError, MemoryError) as error:
+            numbers = {name: value for name, value in values.items()
+                       if isinstance(value, float) and value and math.isfinite(value)}  # fmt: skip
             if not numbers:
                 raise
             name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
-            value = numbers[name]
-            text = repr(value) if isinstance(value, float) else f"a number of {value.bit_length()} bits"
-            raise SceneError(f"{name} = {text}: is beyond what can be computed with; use SI units") from error
+            raise SceneError(
+                f"{name} = {quoted(numbers[name])}: is beyond what can be computed with; use SI units"
+            ) from error
 
     @property
     def name(self) -> str:
@@ -367,17 +405,19 @@ class SceneFunction(Generic[P, S]):
         return values
 
     def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters by their own names, where some are given by another one."""
+        """Return parameters by their own names, and texts such as "125 mm" as numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of fields by the fields' own names, where some are given by another one."""
+    """Return values of fields by the fields' own names, and texts such as "125 mm" as numbers."""
     values: dict[str, Any] = dict(given)
     for name, field in known.items():
+        if name in values:
+            values[name] = field.number(values[name], name)
         for alias in field.of_kind(Alias):
             if alias.name in values:
-                value = values.pop(alias.name)
+                value = field.number(values.pop(alias.name), alias.name)
                 if name in values:
                     refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one")
                 try:

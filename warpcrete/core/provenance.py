@@ -40,7 +40,7 @@ def versions() -> dict[str, str]:
 def processor() -> str:
     """Model of the CPU. Kernels of the CPU are compiled for it (Warp's `-march=native`), so their bits belong to it."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
     model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -250,7 +251,7 @@ class OfConcrete:
         super().__post_init__()  # type: ignore[misc]
         shapes: str = self.shapes  # type: ignore[attr-defined]
         if of_meshes(shapes):
-            whole = ",".join(str(Path(one.strip()).resolve()) for one in shapes.split(","))
+            whole = ",".join(os.path.realpath(one.strip()) for one in shapes.split(","))
             object.__setattr__(self, "shapes", whole)
 
 
@@ -267,7 +268,7 @@ class PipeParameters(
         OneOf(UNITS).check("unit", unit, "")
         object.__setattr__(self, "unit", unit)
         if self.wall not in ("analytic", "mesh"):
-            object.__setattr__(self, "wall", str(Path(self.wall).resolve()))
+            object.__setattr__(self, "wall", os.path.realpath(self.wall))
         if self.is_bend:
             if self.elbow_radius <= self.radius:
                 refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")

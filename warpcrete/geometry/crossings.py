@@ -20,18 +20,19 @@ def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 
     begins where the one before it ends.
     """
     begin = 0.0
-    rows: list[tuple[int, float, float, float]] = []
-    edges = []
-    for number, (length, wide, places) in enumerate(spans):
-        s = np.linspace(begin, begin + length, places)
-        points, _ = axis.at(s)
-        rows += [(number, s[k], s[k + 1], wide) for k in range(len(s) - 1)]
-        edges += [points[k : k + 2] for k in range(len(s) - 1)]
+    places = []
+    for length, _, count in spans:
+        places.append(np.linspace(begin, begin + length, count))
         begin += length
-    owner, start, end, wide = np.array(rows).T
-    ends = np.array(edges)
-    for k in range(len(rows)):
-        later = np.arange(k + 1, len(rows))
+    points = axis.at(np.concatenate(places))[0]
+    firsts = np.cumsum([0, *(len(s) for s in places)])
+    edges = np.concatenate([np.arange(first, first + len(s) - 1) for first, s in zip(firsts, places)])
+    owner = np.repeat(np.arange(len(spans)), [len(s) - 1 for s in places])
+    along = np.concatenate(places)
+    start, end, wide = along[edges], along[edges + 1], np.array([wide for _, wide, _ in spans])[owner]
+    ends = np.stack([points[edges], points[edges + 1]], axis=1)
+    for k in range(len(edges)):
+        later = np.arange(k + 1, len(edges))
         apart = 0.5 * (wide[k] + wide[later]) + gap
         # What follows along the tightest bend, of half a diameter, is nearer than a diameter for half a turn.
         far = start[later] - end[k] > HALF_TURN * apart

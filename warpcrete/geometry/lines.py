@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,26 +12,18 @@ from typing import Any
 import numpy as np
 
 from ..core.amounts import amount
-from ..core.concretes import is_file, read_yaml
-from ..core.errors import one_of, positive, refuse
+from ..core.concretes import is_file
+from ..core.errors import one_of, positive, refuse, suggested
+from ..core.limits import check_limit, check_velocity
+from ..core.text_files import name_of, read_mapping, within
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting
 from .curves import begins, through
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from .mesh_parts import MeshBore, bore_of, directions_at, turned
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
-KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
-PARTS = {
-    "straight": ("length", "rise", "diameter"),
-    "bend": ("angle", "radius", "to"),
-    "reducer": ("to", "length"),
-    "hose": ("points", "layer"),
-    "bore": ("file", "scale", "length", "outlet"),
-}
-"""Kinds of parts, and what each may say."""
-BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
-WAYS = ("up", "down", "left", "right", "level", "back")
 SHARPEST = 135.0
 """Bend that one part may make [degrees]."""
 BLOCKING = 3.0
@@ -175,7 +168,7 @@ def read_line(name: Path | str) -> PipeLine:
     Raises :class:`SceneError` for one that cannot be read, or whose parts do not fit.
     """
     given, path = line_file(name)
-    return line_of(given, path.stem, path.parent)
+    return line_of(given, name_of(path), path.parent)
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
@@ -185,10 +178,12 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     """
     if not isinstance(name, (str, Path)):
         refuse("line", name, "must be the name of a file", "write one: see --help")
-    path = SHIPPED / f"{name}.yaml" if str(name) in shipped_lines() else Path(name)
-    if not path.is_file():
-        refuse("line", str(name), f"is no file and none of {', '.join(shipped_lines())}", "write one: see --help")
-    given = dict(read_yaml(path, "line"))
+    known = shipped_lines()
+    path = SHIPPED / f"{name}.yaml" if str(name) in known else Path(name)
+    if not path.suffix and not os.path.exists(path):
+        refuse("line", str(name), f"is no file and none of {', '.join(known)}",
+               suggested(str(name), known) or "write one: see --help")  # fmt: skip
+    given = read_mapping(path, "line")
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
     return given, path
@@ -202,28 +197,39 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if not isinstance(given, Mapping):
         refuse("line", given, "must be 'key: value' lines, or a mapping of such")
     for key in given:
-        one_of("line's key", key, KEYS)
+        with within(given, key):
+            one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
         refuse("parts", entries, "must be a list of one part or more", "as '- straight: 10 m'")
+    if len(entries) > MOST_PARTS:
+        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "join straight parts in a row")
     if "diameter" not in given:
         refuse("diameter", None, "must be given, that of the first part", "as 'diameter: 125 mm'")
-    diameter = _above("diameter", given["diameter"], "m")
+    diameter, stone, flow, recorded = (
+        _above(given, field, AMOUNTS[field][0]) for field in ("diameter", "largest_stone", "flow", "recorded")
+    )
+    assert diameter is not None
     begin = given.get("begin", "level")
-    one_of("begin", begin, BEGINS)
-    stone = _above("largest_stone", given["largest_stone"], "m") if "largest_stone" in given else None
+    with within(given, "begin"):
+        one_of("begin", begin, BEGINS)
     course = _Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):
-        course.add(number, entry)
+        with within(entries, number - 1):
+            course.add(number, entry)
+    if flow is not None:
+        with within(given, "flow"):
+            narrow = min(min(part.diameter, part.outlet) for part in course.parts)
+            check_velocity("flow", flow, 4 * flow / (math.pi * narrow**2))
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
     line = PipeLine(
         name=str(given.get("name", name)),
         parts=tuple(course.parts),
         axis=axis,
-        flow=_above("flow", given["flow"], "m3/s") if "flow" in given else None,
+        flow=flow,
         concrete=str(given["concrete"]) if "concrete" in given else None,
         source=str(given.get("source", "")),
-        recorded=_above("recorded", given["recorded"], "Pa") if "recorded" in given else None,
+        recorded=recorded,
     )
     check_crossing(line)
     return with_stone(line, stone)
@@ -238,9 +244,14 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     return replace(line, largest_stone=stone)
 
 
-def _above(field: str, given: Any, unit: str) -> float:
-    found = amount(field, given, unit)
-    positive(field, found, unit)
+def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
+    """Return an entry above 0 in `unit`, or None where there is none."""
+    if field not in given:
+        return None
+    with within(given, field):
+        found = amount(field, given[field], unit)
+        positive(field, found, unit)
+        check_limit(field, found, unit, LIMITED_AS.get(field, field))
     return found
 
 
@@ -263,14 +274,17 @@ class _Course:
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
         if not isinstance(said, Mapping):
-            said = {PARTS[kind][0]: said}
+            said = {next(iter(PARTS[kind])): said}
         for key in said:
             one_of(f"part {number}, {kind}: key", key, PARTS[kind])
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
                 refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
-            return amount(f"part {number}, {kind}: {key}", said.get(key, default), unit)
+            field = f"part {number}, {kind}: {key}"
+            found = amount(field, said.get(key, default), unit)
+            check_limit(field, found, unit, LIMITED_AS.get(key, key))
+            return found
 
         part, pieces = getattr(self, f"_{kind}")(number, said, get)
         self.parts.append(part)
@@ -334,7 +348,11 @@ class _Course:
             refuse(f"{field}: points", given, "must be a list of points", "as '[[1, 0, 0], [2, 0, -0.5]]'")
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
             refuse(f"{field}: points", given, "must each be three lengths: ahead, to the left, up")
+        if len(given) > MOST_POINTS:
+            refuse(f"{field}: points", f"{len(given)} points", f"must be at most {MOST_POINTS}")
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
+        for x in local.ravel().tolist():
+            check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
             refuse(f"{field}: points", given, "must be half a diameter apart, at least")
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
@@ -378,21 +396,15 @@ class _Course:
         for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
             if value is not None:
                 positive(f"{field}: {key}", value, "" if key == "scale" else "m")
-        mesh = bore_of(
-            (f"{field}: file", f"{field}: scale"),
-            (self.folder / file).resolve(),
-            scale,
-            length,
-            (self.diameter, outlet),
-        )
+        path = Path(os.path.realpath(self.folder / file))
+        mesh = bore_of((f"{field}: file", f"{field}: scale"), path, scale, length, (self.diameter, outlet))
         before = Axis((0.0, 0.0, 0.0), self.begin, (*self.pieces, Line(self.diameter)))
         directions = directions_at(before, before.length)
-        pieces = turned(mesh.axis.pieces, directions)
         ends, tangents = mesh.axis.at([0.0, mesh.axis.length])
         rise = float(((ends[1] - ends[0]) @ directions)[2])
-        length = mesh.axis.length
         self._turn(tangents[1] @ directions)
-        return Part(number, "bore", self.diameter, length, rise, outlet, mesh=mesh), pieces
+        part = Part(number, "bore", self.diameter, mesh.axis.length, rise, outlet, mesh=mesh)
+        return part, turned(mesh.axis.pieces, directions)
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:

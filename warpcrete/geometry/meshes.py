@@ -12,7 +12,7 @@ import warp as wp
 from ..core.device import quiet_init
 from ..core.errors import refuse
 from ..core.launching import launch
-from ..core.origin import note_file
+from ..core.text_files import check_file
 from ..kernels.common.mesh_queries import distances, nearest_faces, ray_distances, signed_distances
 from .axis import Axis
 from .cleaning import clean
@@ -23,6 +23,10 @@ if TYPE_CHECKING:  # half a second to import, and most scenes have no mesh
 
 ROUND = 0.01
 """Part of a pipe's radius by which its wall may differ from the cylinder and still count as one."""
+MOST_FACES = 500_000
+"""Triangles of a mesh; reading so many takes ten seconds."""
+FARTHEST = 1e4
+"""Distance of a corner from the origin [m]."""
 
 
 def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
@@ -37,14 +41,12 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     elif not isinstance(source, str | Path):
         refuse(field, type(source).__name__, "must be a trimesh.Trimesh or the path of a mesh file")
     else:
-        path = Path(source)
-        if not path.is_file():
-            refuse(field, str(source), "is no file", "give the path of an STL, OBJ, PLY ... file")
+        path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
         try:
-            note_file(path)
-            mesh = trimesh.load_mesh(path)
-            if isinstance(mesh, trimesh.Scene):
-                mesh = mesh.to_mesh()
+            with np.errstate(all="ignore"):  # what is wrong with its numbers is told below
+                mesh = trimesh.load_mesh(path)
+                if isinstance(mesh, trimesh.Scene):
+                    mesh = mesh.to_mesh()
         except Exception as error:  # trimesh raises whatever its readers raise
             # A file of noise ends in whatever reader is tried last, or in one that is not installed.
             why = "it is damaged or of another kind" if isinstance(error, ImportError) else " ".join(str(error).split())
@@ -52,12 +54,24 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
                    "give an STL, OBJ, PLY ... file whose ending says what it is")  # fmt: skip
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         refuse(field, str(source), "holds no triangles, or corners that are not finite")
+    _check_size(mesh, field, str(source), scale)
     vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(mesh.faces) == 0:
         refuse(field, str(source), "holds only triangles without area")
     mesh.apply_scale(scale)
     return mesh
+
+
+def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
+    """Refuse a mesh of more triangles, or with corners farther away, than can be computed with."""
+    if len(mesh.faces) > MOST_FACES:
+        refuse(field, name, f"has {len(mesh.faces)} triangles; at most {MOST_FACES} are read",
+               "simplify it (trimesh's simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
+    farthest = float(np.abs(mesh.vertices).max()) * scale
+    if farthest > FARTHEST:
+        refuse(field, name, f"has a corner {farthest:.3g} m away; at most {FARTHEST:g} m are possible",
+               "look at its corners, and at the scale of its unit (0.001 for mm)")  # fmt: skip
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:

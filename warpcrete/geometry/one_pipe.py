@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.amounts import amount
 from ..core.errors import refuse
+from ..core.text_files import within
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import PipeLine, line_file
@@ -28,7 +29,8 @@ def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
     if values.get("line") is None or ("flow" in values and "concrete" in values):
         return {}
     given, _ = line_file(values["line"])
-    found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
+    with within(given, "flow"):
+        found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
     return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
 
 

@@ -3,26 +3,67 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from ..core.amounts import amount
-from ..core.errors import between, one_of, positive, refuse
+from ..core.amounts import amount, bare_number
+from ..core.errors import between, one_of, positive, refuse, suggested
+from ..core.limits import check_limit
+from ..core.text_files import within
+from .ingredients import LEAST, check_volume
 from .points import PUMPED, read_points
+
+T = TypeVar("T")
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
+SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
+"""Names of the constants of a slip layer where limits are stated."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points of a tribometer and of a viscometer."""
-KEYS = ("density", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A number of a mix: its meaning, its unit, and what is possible."""
+
+    help: str
+    unit: str
+    low: float
+    high: float
+    hint: str = ""
+
+
+NUMBERS = {
+    "density": Entry("of the concrete; or give its parts", "kg/m3", 1000, 5000, "'2.35 t/m3' has its unit"),
+    "air": Entry("air content, as a part of the volume", "m3/m3", 0, 0.3, "'2 %' has its unit"),
+    "aggregate_density": Entry("density of the coarse aggregate", "kg/m3", 1000, 8000),
+    "slump": Entry("slump of the Abrams cone", "m", 0.01, 0.24, "of softer concrete give the spread"),
+    "spread": Entry("spread of the Abrams cone", "m", 0.35, 1.2),
+    "t500": Entry("time until the spread reaches 500 mm", "s", 0.5, 120),
+}
+"""Numbers of a mix."""
+OTHERS = {
+    "parts": "mass of each ingredient in a cubic metre [kg/m3], all of them",
+    "aggregate": "coarse aggregate: share of the volume, or mass in a cubic metre with its unit",
+    "sieve": "openings [mm] of sieves, and what passes each of the mass of the coarse aggregate",
+    "sizes": "smallest and largest coarse aggregate [m], in place of a sieve curve",
+    "shape": "shape of the coarse aggregate: a word, or its longest over its shortest width",
+    "concrete": "measured constants of the concrete",
+    "mortar": "measured constants of the mortar",
+    "viscometer": "points of a viscometer: pairs of rate and stress, or the path of a CSV file",
+    "layer": "slip layer: its constants, points of a pipe, or points of a tribometer",
+}
+"""Other entries of a mix."""
+KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
         "viscometer", "slump", "spread", "t500", "layer")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
 """Words for the shape of stones, and what elements take for them; a shape factor makes rows of spheres."""
-FINEST = 1e-3
-"""Smallest stone that counts as coarse aggregate [m]."""
+FINEST, COARSEST = 1e-3, 0.3
+"""Smallest and largest stone that counts as coarse aggregate [m]."""
 PACKED = 0.57
 """Of the volume, equal balls packed as they fall (Mahaut et al. 2008): no concrete has more coarse aggregate."""
 GRAVEL = 2650.0
@@ -96,49 +137,64 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
     if not isinstance(given, Mapping):
         refuse("mix", given, "must be 'key: value' lines", "indent them below the section's name")
     for key in given:
-        one_of("mix key", key, KEYS)
+        with within(given, key):
+            one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of both")
-    density, summed = _density(given)
-    heavy = _number(given, "aggregate_density", "kg/m3", 1000, 8000)
-    share = _share(given["aggregate"], heavy or GRAVEL) if "aggregate" in given else None
-    mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
+    heavy = _number(given, "aggregate_density") or GRAVEL
+    with within(given, "parts" if "parts" in given else "density"):
+        density, summed = _density(given, heavy)
+    with within(given, "aggregate"):
+        share = _share(given["aggregate"], heavy) if "aggregate" in given else None
+    with within(given, "mortar"):
+        mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
         refuse("mix mortar", given["mortar"], "needs the share of coarse aggregate in it", "as 'aggregate: 36 %'")
     if share is not None:
-        _check_parts(density, share, heavy or GRAVEL, mortar.values.get("density"))
-    spread, t500 = _number(given, "spread", "m", 0.35, 1.2), _number(given, "t500", "s", 0.5, 120)
+        _check_parts(density, share, heavy, mortar.values.get("density"))
+    spread, t500 = _number(given, "spread"), _number(given, "t500")
     if t500 is not None and (spread is None or spread < 0.5):
         refuse("mix t500", given["t500"], "needs the spread at rest, of 500 mm or more", "as 'spread: 650 mm'")
     return Given(
         density=density,
         summed=summed,
         share=share,
-        aggregate_density=heavy or GRAVEL,
-        sieve=_sieve(given["sieve"]) if "sieve" in given else None,
-        sizes=_sizes(given["sizes"]) if "sizes" in given else None,
-        shape=_shape(given["shape"]) if "shape" in given else None,
-        concrete=_constants("concrete", given.get("concrete", {}), UNITS),
+        aggregate_density=heavy,
+        sieve=_entry(given, "sieve", _sieve),
+        sizes=_entry(given, "sizes", _sizes),
+        shape=_entry(given, "shape", _shape),
+        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, UNITS)) or Measured(),
         mortar=mortar,
-        sheared=_pairs("viscometer", given["viscometer"], SHEARED, folder) if "viscometer" in given else None,
-        slump=_number(given, "slump", "m", 0.01, 0.24, "of softer concrete give the spread"),
+        sheared=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
+        slump=_number(given, "slump"),
         spread=spread,
         t500=t500,
-        layer=_layer(given.get("layer", {}), folder),
+        layer=_entry(given, "layer", lambda found: _layer(found, folder)) or Layer(),
     )
 
 
-def _number(given: Mapping[str, Any], name: str, unit: str, low: float, high: float, hint: str = "") -> float | None:
+def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
+    """Return what an entry says, or None where there is no such entry; errors name its line."""
+    if name not in given:
+        return None
+    with within(given, name):
+        return read(given[name])
+
+
+def _number(given: Mapping[str, Any], name: str) -> float | None:
+    """Return one of :data:`NUMBERS`, or None where it is not given."""
     if given.get(name) is None:
         return None
-    found = amount(f"mix {name}", given[name], unit)
-    between(f"mix {name}", found, low, high, unit, hint)
+    entry = NUMBERS[name]
+    with within(given, name):
+        found = amount(f"mix {name}", given[name], entry.unit)
+        between(f"mix {name}", found, entry.low, entry.high, entry.unit, entry.hint)
     return found
 
 
-def _density(given: Mapping[str, Any]) -> tuple[float, bool]:
-    """Of the concrete, and whether it is the sum of its parts."""
-    own = _number(given, "density", "kg/m3", 1000, 5000, "'2.35 t/m3' has its unit")
+def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
+    """Return the density of the concrete, and whether it is the sum of its parts; `heavy` is the coarse aggregate's."""
+    own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
         if own is None:
             refuse("mix density", None, "must be given, that of the concrete", "as 'density: 2350 kg/m3', or its parts")
@@ -146,15 +202,17 @@ def _density(given: Mapping[str, Any]) -> tuple[float, bool]:
     parts = given["parts"]
     if not isinstance(parts, Mapping) or not parts:
         refuse("mix parts", parts, "must be what a cubic metre is made of", "as {cement: 340 kg/m3, water: 170 kg/m3}")
-    total = 0.0
+    masses = {}
     for name, value in parts.items():
-        mass = amount(f"mix parts: {name}", value, "kg/m3")
-        positive(f"mix parts: {name}", mass, "kg/m3")
-        total += mass
+        with within(parts, name):
+            masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
+            between(f"mix parts: {name}", masses[str(name)], LEAST, 5000, "kg/m3", "leave out what there is none of")
+    total = sum(masses.values())
     if own is not None and abs(total / own - 1) > OFF:
         refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of both")
     if own is None:
         between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all of them, the aggregates too")
+    check_volume(masses, heavy, air)
     return (own, False) if own is not None else (total, True)
 
 
@@ -190,8 +248,12 @@ def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
     example = "as {4: 0, 8: 0.4, 16: 1}, mm: what passes of the mass"
     if not isinstance(given, Mapping) or len(given) < 2:
         refuse("mix sieve", given, "must be two openings or more, and what passes them", example)
-    opened = {amount("mix sieve: opening", key if isinstance(key, str) else f"{key} mm", "m"): value
+    opened = {amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
               for key, value in given.items()}  # fmt: skip
+    widest = max(opened)
+    if widest > COARSEST:
+        refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
+               "openings without a unit are in mm; '16000 um' has its unit")  # fmt: skip
     if len({isinstance(value, str) for value in opened.values()}) > 1:
         refuse("mix sieve", dict(given), "mixes numbers with and without a unit", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
@@ -216,7 +278,7 @@ def _sizes(given: Any) -> tuple[float, float]:
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("mix sizes", given, "must be the smallest and the largest", "as [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
-    between("mix sizes, the largest", high, FINEST, 0.3, "m", "'20 mm' has its unit")
+    between("mix sizes, the largest", high, FINEST, COARSEST, "m", "'20 mm' has its unit")
     between("mix sizes, the smallest", low, FINEST, high, "m", "what is finer is mortar")
     return low, high
 
@@ -226,7 +288,8 @@ def _shape(given: Any) -> str:
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"
     if not isinstance(given, str) or given not in SHAPES:
-        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}", "or longest over shortest width, from 1 on")
+        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
+               suggested(given, SHAPES) or "or longest over shortest width, from 1 on")  # fmt: skip
     return SHAPES[given]
 
 
@@ -242,6 +305,7 @@ def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
             between(f"mix {name}: {key}", value, 0, 1e5, units[key])
         else:
             positive(f"mix {name}: {key}", value, units[key])
+        check_limit(f"mix {name}: {key}", value, units[key], SLIP.get(key, key) if name == "layer" else key)
     off = None
     if "uncertainty" in given:
         off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..core.amounts import amount
 from ..core.concretes import NamedConcrete, concrete, known_only
 from ..core.errors import between, positive, refuse
 from ..theory.pipe import Concrete
@@ -168,13 +169,14 @@ def mix_of(
     )  # fmt: skip
     slip = {figure.name: figure for figure in layer(told, fluid)} | bulk
     figures = [slip[each] for each in FLOW.values()]
+    if told.sieve is None and told.sizes is None:
+        remarks.append("the mix has no sieve curve: elements have the sizes of the scene, 5 to 20 mm unless told")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
 
 
 def _named(key: str, value: Any) -> Figure:
     """A constant that the section `flow` has."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        refuse(f"concrete flow {key}", value, "must be a number")
+    value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
     else:

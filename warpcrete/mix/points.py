@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from ..core.amounts import amount
 from ..core.errors import positive, refuse
+from ..core.limits import check_limit
+from ..core.text_files import read_rows
 
 PUMPED = {"flow": "m3/s", "pressure": "Pa"}
 """Columns of points of a pipe, and the units in which the program has them."""
 
 
 def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "fit") -> list[list[float]]:
-    """Columns of a CSV file, in SI units; the header has them with units, as `flow [m3/h],pressure [bar]`.
+    """Return columns of a CSV file in SI units; its header names them with units, as `flow [m3/h],pressure [bar]`.
 
-    `field` is what named the file. Raises :class:`SceneError` for a file without them, or with a number not above 0.
+    `field` is what named the file. Raises :class:`SceneError` for a file without these columns, or with a number that
+    is not above 0.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        refuse(field, str(path), f"cannot be read ({error})", "give a CSV file")
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in (rows[0] if rows else [])]
+    header, rows = read_rows(path, field)
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
     places = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
     found = []
     for name, unit in columns.items():
@@ -34,9 +32,11 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
             )  # fmt: skip
             refuse(field, str(path), f"has no column {name!r}", f"its first line must be as '{example}'")
         place, own = places[name]
-        column = {k: row[place] if place < len(row) else "" for k, row in enumerate(rows[1:], 2) if row}
-        fields = {k: f"{path.name}, line {k}: {name}" for k in column}
-        found.append([amount(fields[k], f"{text.strip()} {own}".strip(), unit) for k, text in column.items()])
-        for each, value in zip(fields.values(), found[-1], strict=True):
+        found.append([])
+        for line, row in rows:
+            each = f"{path.name}, line {line}: {name}"
+            value = amount(each, f"{row[place].strip()} {own}".strip(), unit)
             positive(each, value, unit, "leave points at rest out")
+            check_limit(each, value, unit, name)
+            found[-1].append(value)
     return found

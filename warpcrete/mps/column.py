@@ -12,6 +12,7 @@ import numpy as np
 from ..core.concretes import is_file
 from ..core.errors import positive, refuse
 from ..core.knobs import Knob, Level, Trading, precisions, scaled
+from ..core.limits import check_velocity
 from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run_loop import Run
 from ..core.units import number
@@ -49,12 +50,12 @@ class ConcreteParameters:
         Alias("mix"),
         FileIf(is_file),
     ] = "no1"
-    density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's"] = None
-    viscosity: Annotated[float | None, "plastic viscosity [Pa s]"] = None
-    yield_stress: Annotated[float | None, "[Pa]"] = None
-    slip_viscosity: Annotated[float | None, "of the slip layer, over its thickness [Pa s/m]"] = None
-    slip_yield: Annotated[float | None, "yield stress of the slip layer [Pa]"] = None
-    slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]"] = 0.0
+    density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's", Above()] = None
+    viscosity: Annotated[float | None, "plastic viscosity [Pa s]", Above()] = None
+    yield_stress: Annotated[float | None, "[Pa]", Within(0)] = None
+    slip_viscosity: Annotated[float | None, "of the slip layer, over its thickness [Pa s/m]", Above()] = None
+    slip_yield: Annotated[float | None, "yield stress of the slip layer [Pa]", Within(0)] = None
+    slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]", Within(0)] = 0.0
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
@@ -178,10 +179,9 @@ def column_scene(
     concrete = given.constants()
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2
-    if area == 0.0:
-        refuse("diameter", given.diameter, "is so small that its cross-section rounds to 0", "give it in metres")
     flow = given.driven(concrete, bulk, dimensions)
     given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
+    check_velocity("flow", flow, flow / area)
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
     return FluidScene(
         name=name,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from ..core.amounts import amount
 from ..core.concretes import is_file, known_only, shipped
 from ..core.errors import one_of, refuse
+from ..core.text_files import name_of
+from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
 from ..theory.pipe import THICKER_LAYERS, Concrete
 
@@ -38,7 +40,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
                 "slip_thickness", slip_thickness, f"has no printed constants ({printed} have)", "give slip_viscosity"
             )
         given["slip_viscosity"] = match[0]
-    return Concrete(name=Path(name).stem, **{**named, **given})
+    return Concrete(name=name_of(name), **{**named, **given})
 
 
 def flowing() -> list[str]:
@@ -77,7 +79,4 @@ def _flow_of(name: str) -> dict[str, float]:
     found = known_only("flow", completed(name).flow, CONSTANTS, name)
     if not found:
         refuse("concrete", name, "has no section 'flow'", f"give it one: {', '.join(CONSTANTS)}")
-    for key, value in found.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            refuse(f"concrete flow {key}", value, f"must be a number (in {name})")
-    return found
+    return {key: amount(f"concrete flow {key}", value, FLOW_UNITS[key]) for key, value in found.items()}

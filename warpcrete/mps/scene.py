@@ -20,6 +20,8 @@ from ..theory.pipe import Concrete, Line, Steady, restart, steady
 FEWEST_ACROSS = 4  # particles over the pipe's width
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
+MOST_PARTICLES = 2**26
+"""Particles of a column, whose lists still fit the memory of today's largest GPU."""
 SHORTEST = 8  # spacings in the column's length: less has no inside that neither piston nor surface disturbs
 
 
@@ -178,6 +180,11 @@ class FluidScene(Parametrised, FlowSettings):
             )  # fmt: skip
         if self.length < SHORTEST * self.spacing:
             refuse("length", self.length, f"must hold {SHORTEST} particles, {SHORTEST * self.spacing:g} m")
+        section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
+        count = section * self.length / self.spacing**self.dimensions
+        if self.ends == "piston" and count > MOST_PARTICLES:
+            refuse("length", self.length, f"takes {count:.2g} particles; at most {MOST_PARTICLES:.2g} are possible",
+                   "take a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
                 "time_step", self.time_step, "lets the piston pass more than half a particle a step",

@@ -15,6 +15,7 @@ from ..core.errors import RunFolderError, SceneError
 from ..core.files import read_json
 from ..core.origin import changed_files, check_files
 from ..core.run import Run, Table
+from ..core.text_files import saved_text
 from ..scenes import modules
 
 TABLES = ("stations",)
@@ -102,7 +103,7 @@ def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     if not path.is_file():
         return {}, {}
     try:
-        text = path.read_text()
+        text = saved_text(path)
         lines = list(csv.reader(text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]))
         if not lines:
             return {}, {}

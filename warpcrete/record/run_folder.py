@@ -7,7 +7,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
-from ..core.errors import RunFolderError
 from ..core.files import cannot_write, whole_file, write_json
 from ..core.folders import Hold, make_folder
 from ..core.origin import Arguments, changed_fields, readable
@@ -83,7 +82,7 @@ class TableRecorder(Recorder):
 
     def _opened(self, mode: Literal["w", "a"]) -> TextIO:
         try:
-            return self._series.open(mode, newline="")
+            return self._series.open(mode, newline="", encoding="utf-8")
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
@@ -91,7 +90,7 @@ class TableRecorder(Recorder):
         """Write series.csv as it was at the checkpoint, which holds every row."""
         self.claim(simulation)
         with whole_file(self._series) as partial:
-            self._file = partial.open("w", newline="")
+            self._file = partial.open("w", newline="", encoding="utf-8")
             for row in simulation.rows:
                 self._write(simulation, row)
             self._file.close()
@@ -142,7 +141,7 @@ class TableRecorder(Recorder):
 
 def _write_table(path: Path, table: Table) -> None:
     """A table as series.csv has its rows."""
-    with whole_file(path) as partial, partial.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{table.units[name]}]" for name in table.columns])
         writer.writerows([[f"{value:.9g}" for value in row] for row in zip(*table.columns.values(), strict=True)])

@@ -25,7 +25,7 @@ from ..record.checks import failed_checks
 from ..scenes import modules
 from .calibration import Calibration, Trial
 from .calibration_report import write
-from .cases import Case
+from .cases import MOST_CASES, Case
 from .posterior import posterior
 from .starts import closed_form_start
 from .study import Study, resume_study, run_listed
@@ -85,11 +85,11 @@ def run_calibration(
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch
     _check_trials(most)
-    if at_once < 1:
-        refuse("batch", at_once, "must be 1 or more")
-    if repeat < 0:
-        refuse("repeat", repeat, "must be 0 or more")
-    between("seed", seed, 0, math.inf)
+    if not 1 <= at_once <= MOST_CASES:
+        refuse("batch", at_once, f"must be 1 to {MOST_CASES}")
+    if not 0 <= repeat <= MOST_CASES:
+        refuse("repeat", repeat, f"must be 0 to {MOST_CASES}")
+    between("seed", seed, 0, 2**31)
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
@@ -123,8 +123,8 @@ def resume_calibration(
 
 
 def _check_trials(most: int) -> None:
-    if most < 4:
-        refuse("trials", most, "must be 4 or more")
+    if not 4 <= most <= MOST_CASES:
+        refuse("trials", most, f"must be 4 to {MOST_CASES}")
 
 
 def _record(folder: Path) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ..core.files import whole_file, write_json
+from ..core.yaml_files import yaml_text
 from .calibration import Calibration
 from .posterior import told_apart
 from .targets import Target
@@ -20,7 +20,7 @@ SMOOTH = 60
 def write(found: Calibration, modules: Mapping[str, Any]) -> None:
     """calibration.md, calibration.png, answer.json and concrete.yaml, as far as there is an answer."""
     with whole_file(found.folder / "calibration.md") as partial:
-        partial.write_text(report(found) + "\n")
+        partial.write_text(report(found) + "\n", encoding="utf-8")
     if found.posterior is None:
         return
     write_json(found.folder / "answer.json", answer(found))
@@ -29,7 +29,7 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
     concrete = concrete_of(found, modules)
     if concrete:
         with whole_file(found.folder / "concrete.yaml") as partial:
-            partial.write_text(yaml.safe_dump(concrete, sort_keys=False))
+            partial.write_text(yaml_text(concrete), encoding="utf-8")
 
 
 def report(found: Calibration) -> str:

@@ -42,8 +42,8 @@ def cases_of(
     parameter alone, the others hold their base or default value, and a point that several parameters share is one case.
     Raises :class:`SceneError` for empty or repeated values.
     """
-    if repeat < 1:
-        refuse("repeat", repeat, "must be 1 or more")
+    if not 1 <= repeat <= MOST_CASES:
+        refuse("repeat", repeat, f"must be 1 to {MOST_CASES}")
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more different values")

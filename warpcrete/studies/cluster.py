@@ -54,7 +54,7 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     if processes is not None:
         refuse("processes", processes, "are those of a study without a scheduler", "take workers")
     if workers is not None:
-        between("workers", workers, 1, float("inf"))
+        between("workers", workers, 1, 1e5)
         if scheduler not in SCHEDULERS:
             refuse("workers", workers, f"are those that '{scheduler}' has", "leave them out")
     if scheduler not in SCHEDULERS and ":" not in scheduler:

@@ -119,7 +119,7 @@ def _cached(scene: Any, device: Any, threads: int) -> Path:
 
 def _read(path: Path) -> Forecast | None:
     try:
-        known = json.loads(path.read_text())
+        known = json.loads(path.read_text(encoding="utf-8"))
         return Forecast(**{**known, "remarks": tuple(known["remarks"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None

@@ -146,6 +146,7 @@ def folder_name(part: Part) -> str:
 def _write(result: LineResult, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "line.json", result.record())
-    (out / "line.md").write_text("\n".join(lines_of(result)) + "\n")
+    with whole_file(out / "line.md") as partial:
+        partial.write_text("\n".join(lines_of(result)) + "\n", encoding="utf-8")
     with whole_file(out / "line.png") as partial:
         draw(result).savefig(partial, dpi=150, format="png")

@@ -11,7 +11,7 @@ from ..core.errors import RunFolderError, one_of, refuse
 from ..core.files import read_json, write_json
 from ..core.folders import held, new_folder
 from ..scenes import modules
-from .cases import Case
+from .cases import MOST_CASES, Case
 from .papers import CONCRETES, OPEN, UNITS, UNITS_ROW, ZHAN, overrides, rows_of, xu_cases, zhan_case
 from .reproduction import Reproduction, key_of, unit_case
 from .reproduction_report import write
@@ -48,8 +48,8 @@ def reproduce(
     none of these, and :class:`RunFolderError` for a folder without results.
     """
     one_of("paper", paper, PAPERS)
-    if seeds < 1:
-        refuse("seeds", seeds, "must be 1 or more")
+    if not 1 <= seeds <= MOST_CASES:
+        refuse("seeds", seeds, f"must be 1 to {MOST_CASES}")
     columns, rows = chosen(paper, only)
     taken: dict[str, Any] = {}
     for folder in known:

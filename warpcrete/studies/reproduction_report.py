@@ -41,7 +41,7 @@ def write(found: Reproduction) -> None:
     """reproduction.md, reproduction.png and results.json, of what there is."""
     text = "\n".join(_zhan(found) if found.paper == "zhan" else _xu(found))
     with whole_file(found.folder / "reproduction.md") as partial:
-        partial.write_text(text.rstrip() + "\n")
+        partial.write_text(text.rstrip() + "\n", encoding="utf-8")
     kept = {key: _plain(result) for key, result in found.results.items()}
     write_json(found.folder / "results.json", {"results": kept, "failures": found.failures})
     if found.paper == "zhan" and found.results:

@@ -16,6 +16,7 @@ from ..core.folders import held
 from ..core.interrupts import StopAtSample
 from ..core.origin import check_files
 from ..core.run_loop import Run
+from ..core.text_files import saved_text
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
@@ -178,7 +179,7 @@ def _plain(outcome: Any) -> Any:
 def outcome_of(folder: Path) -> Any:
     """What came of a case before: its result.json, its error, or None."""
     if (folder / FAILED).is_file():
-        return WarpcreteError((folder / FAILED).read_text().strip())
+        return WarpcreteError(saved_text(folder / FAILED).strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
         result = read_json(folder / "result.json")
         if result.get("finished") and "checks" in result:

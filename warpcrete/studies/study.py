@@ -21,6 +21,7 @@ from ..core.errors import InstabilityError, RunFolderError, SceneError, between,
 from ..core.files import check_new, read_json, whole_file, write_json
 from ..core.folders import held, new_folder
 from ..core.html import html_table
+from ..core.limits import check_limit
 from ..core.method import Quantity
 from ..core.origin import check_files, check_named
 from ..core.provenance import provenance
@@ -172,12 +173,12 @@ class Study:
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
-        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="") as file:
+        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
             writer.writerows([[row.get(name, "") for name in names] for row in rows])
         with whole_file(self.folder / "study.md") as partial:
-            partial.write_text(f"{self.markdown()}\n")
+            partial.write_text(f"{self.markdown()}\n", encoding="utf-8")
         write_parquet(self, self.folder / "study.parquet")
         if figure and self.results:
             with whole_file(self.folder / "study.png") as partial:
@@ -257,8 +258,10 @@ def run_listed(
     cases = list(cases)
     if frames is not None:
         positive("frames", frames, "1/s")
+        check_limit("frames", frames, "1/s")
     between("checkpoint_every", checkpoint_every, 0, float("inf"), "s")
     files: dict[str, str] = {}
+    check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
         # Paths, for one, are written down as the scene has them, whole, and a concrete's parameters by value.
@@ -331,7 +334,7 @@ def _go_on(
             study.failures[case.name] = str(outcome) or type(outcome).__name__
             if isinstance(outcome, InstabilityError | SceneError):
                 (folder / case.name).mkdir(exist_ok=True)
-                (folder / case.name / FAILED).write_text(f"{outcome}\n")
+                (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")
         tell("running", len(study.results) / len(cases), {})
 
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ..core.concretes import concrete, is_file, read_yaml
-from ..core.errors import SceneError, refuse
+from ..core.amounts import UNITS, amount
+from ..core.concretes import concrete, is_file
+from ..core.errors import SceneError, known_names, refuse, suggested
 from ..core.method import Quantity
 from ..core.parameters import Field, FileIf, declared_fields
+from ..core.text_files import read_mapping, within
 from ..core.units import number, shown
-from ..methods import method_of
+from ..methods import METHODS, method_of
 
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
@@ -128,9 +131,9 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
     `warpcrete calibrate --help` shows one. Files in it are meant from its folder.
     """
-    raw = dict(read_yaml(path, "targets"))
+    raw = read_mapping(path, "targets")
     if isinstance(raw.get("base"), str) and is_file(raw["base"]):
-        raw["base"] = str((path.parent / raw["base"]).resolve())
+        raw["base"] = os.path.realpath(path.parent / raw["base"])
     task = task_of(raw, modules, path.parent)
     raw["targets"] = [
         {**each, "parameters": dict(target.parameters)} for each, target in zip(raw["targets"], task.targets)
@@ -142,7 +145,8 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     """The task of a mapping such as :func:`read_task` reads; files in it are meant from `folder`."""
     for key in raw:
         if key not in KEYS:
-            refuse("targets", key, "is no key of a file of targets", f"known are {', '.join(KEYS)}")
+            with within(raw, key):
+                refuse("targets", key, "is no key of a file of targets", known_names(key, KEYS))
     base = raw.get("base")
     if base is not None:
         concrete(str(base))
@@ -152,15 +156,24 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
         refuse("targets", listed, "must be a list of one or more",
                "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'")  # fmt: skip
-    targets = [_target(number, each, modules, vary, folder or Path()) for number, each in enumerate(listed, 1)]
+    targets = []
+    for place, each in enumerate(listed):
+        with within(listed, place):
+            targets.append(_target(place + 1, each, modules, vary, folder or Path()))
     if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
         refuse("base", base, "is taken by none of the targets' scenes", "leave it out")
-    kinds = {name: _kind(str(name), targets, modules) for name in vary}
-    free = tuple(_free(str(name), given, kinds[name]) for name, given in vary.items())
+    free = []
+    for name, given in vary.items():
+        with within(vary, name):
+            free.append(_free(str(name), given, _field(str(name), targets, modules)))
     if all(target.held_out for target in targets):
         refuse("held_out", True, "is every target's", "fit at least one")
-    task = Task(None if base is None else str(base), free, tuple(targets))
-    task = Task(task.base, free, tuple(_checked(task, target, modules) for target in targets))
+    task = Task(None if base is None else str(base), tuple(free), tuple(targets))
+    checked = []
+    for place, target in enumerate(targets):
+        with within(listed, place):
+            checked.append(_checked(task, target, modules))
+    task = Task(task.base, tuple(free), tuple(checked))
     _agree(task.targets)
     return task
 
@@ -175,15 +188,16 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
         refuse(called, given, "must be 'key: value' pairs", f"keys are {', '.join(TARGET_KEYS)}")
     for key in given:
         if key not in TARGET_KEYS:
-            refuse(called, key, "is no key of a target", f"known are {', '.join(TARGET_KEYS)}")
+            refuse(called, key, "is no key of a target", known_names(key, TARGET_KEYS))
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
         refuse(called, dict(given), f"needs {', '.join(missing)}")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
-        refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}")
-    value = given["value"]
+        refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}",
+               suggested(given["scene"], modules))  # fmt: skip
+    value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        refuse(f"{called} value", value, "must be a finite number, in SI units")
+        refuse(f"{called} value", value, "must be a finite number, in SI units or with its unit")
     parameters = given.get("parameters") or {}
     if not isinstance(parameters, Mapping):
         refuse(f"{called} parameters", parameters, "must be 'name: value' pairs")
@@ -191,50 +205,69 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
     for name, field in _known(modules, given["scene"]).items():
         files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
         if any(rule.test(parameters[name]) for rule in files):
-            parameters[name] = str((folder / parameters[name]).resolve())
+            parameters[name] = os.path.realpath(folder / parameters[name])
     for name in vary:
         if name in parameters:
             refuse(f"{called} parameters", name, "is held there and varied at once", "leave out one of both")
     held = given.get("held_out", False)
     if not isinstance(held, bool):
         refuse(f"{called} held_out", held, "must be true or false")
-    uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value))
+    uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
     return Target(given["scene"], str(given["quantity"]), float(value), uncertainty, parameters, held, "")
 
 
-def _uncertainty(called: str, given: Any, value: float) -> float:
-    """A standard deviation, given as a number or as a part of the value."""
+def _in_unit(called: str, given: Any, quantity: str) -> Any:
+    """Return a text with a unit, as "550 mm", as a number in the unit of the `quantity`; anything else as it is."""
+    units = {each.name: each.unit for method in METHODS for each in method.quantities}
+    if isinstance(given, str) and quantity not in units:
+        refuse("quantity", quantity, "is measured in no scene", known_names(quantity, units))
+    if isinstance(given, str) and units[quantity] in UNITS:
+        return amount(called, given, units[quantity])
+    return given
+
+
+def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
+    """Return a standard deviation, given as a number or as a part of the value."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
+    elif not (isinstance(given, str) and "%" in given):
+        given = _in_unit(called, given, quantity)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
         refuse(called, given, "must be a number above 0 in the value's unit, or a part of it", "for example '5%'")
     return float(given)
 
 
-def _kind(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> bool:
-    """Is a free parameter a whole number? It must be a number of at least one target's scene."""
+def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
+    """Return the declaration of a free parameter, which must be a number of at least one target's scene."""
     scenes = dict.fromkeys(target.scene for target in targets)
-    fields = [declared_fields(modules[scene].scene.parameters).get(name) for scene in scenes]
-    kinds = {field.kind for field in fields if field is not None}
-    if not kinds:
-        refuse("vary", name, f"is no parameter of {', '.join(scenes)}", "'warpcrete run SCENE --help' lists them")
-    if kinds - {int, float} or name == "seed":
+    known = [_known(modules, scene) for scene in scenes]
+    fields = [each[name] for each in known if name in each]
+    if not fields:
+        refuse("vary", name, f"is no parameter of {', '.join(scenes)}",
+               suggested(name, {key for each in known for key in each}) or
+               "'warpcrete run SCENE --help' lists them")  # fmt: skip
+    if {field.kind for field in fields} - {int, float} or name == "seed":
         refuse("vary", name, "must be a parameter that is a number (and not the seed)")
-    return int in kinds
+    return next((field for field in fields if field.kind is int), fields[0])
 
 
-def _free(name: str, given: Any, whole: bool) -> Free:
-    called = f"vary {name}"
+def _free(name: str, given: Any, field: Field) -> Free:
+    """Return a free parameter with its range."""
+    called, whole = f"vary {name}", field.kind is int
     scale = None
     if isinstance(given, Mapping):
         if set(given) - {"low", "high", "scale"} or not {"low", "high"} <= set(given):
             refuse(called, dict(given), "must have low and high, and may have scale")
         scale, given = given.get("scale"), [given["low"], given["high"]]
     numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
+    if numbers:
+        given = [field.number(each, called) for each in given]
     if not numbers or not all(isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e)
                               for e in given):  # fmt: skip
         refuse(called, given, "must be [low, high], two finite numbers")
+    for each in given:
+        field.check_limits(field.converted(each, called), called)
     low, high = map(float, given)
     if not low < high:
         refuse(called, [low, high], "must be [low, high] with low below high", f"[{high:g}, {low:g}]?")
@@ -259,7 +292,8 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
                 raise SceneError(f"vary {free.name} = {[free.low, free.high]}: {target.label}: {error}") from error
     known: dict[str, Quantity] = {each.name: each for each in method_of(scene).quantities}
     if target.quantity not in known:
-        refuse("quantity", target.quantity, f"is not measured in {target.scene}", f"known are {', '.join(known)}")
+        refuse("quantity", target.quantity, f"is not measured in {target.scene}",
+               known_names(target.quantity, known))  # fmt: skip
     return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
                   target.held_out, known[target.quantity].unit)  # fmt: skip
 

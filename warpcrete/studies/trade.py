@@ -19,10 +19,12 @@ from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
 from ..core.folders import held, new_folder
+from ..core.limits import check_limit
 from ..core.origin import check_files, check_named
 from ..core.provenance import provenance, versions
 from ..methods import Simulation, method_of
 from .asked import module_of
+from .cases import MOST_CASES
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
 from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
@@ -96,9 +98,12 @@ def run_trade(
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
         refuse("repeat", repeat, "goes by seeds, and nothing is random in this scene", "leave it out")
+    if repeat is not None and repeat > MOST_CASES:
+        refuse("repeat", repeat, f"must be at most {MOST_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
     positive("budget", budget, "s")
+    check_limit("budget", budget, "s")
     threads = 1 if threads is None and scheduler else threads
     _check_cores(scheduler, workers, device, threads)
     check_new(out)
@@ -174,6 +179,7 @@ def resume_trade(
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
     positive("budget", budget, "s")
     check_files(folder / "trade.json", record.get("files", {}))
+    check_limit("budget", budget, "s")
     if scheduler is None:
         find_device(trade.device)
     # Of GPUs all that there are, as with a study.

@@ -98,7 +98,7 @@ def write(trade: Trade) -> None:
     if not trade.points or not trade.given.results:
         return
     with whole_file(trade.folder / "trade.md") as partial:
-        partial.write_text(f"# Speed against accuracy: {trade.scene_name}\n\n{table(trade)}\n")
+        partial.write_text(f"# Speed against accuracy: {trade.scene_name}\n\n{table(trade)}\n", encoding="utf-8")
     _write_csv(trade)
     write_json(
         trade.folder / "trade.json",
@@ -149,7 +149,7 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
 
 
 def _write_csv(trade: Trade) -> None:
-    with whole_file(trade.folder / "trade.csv") as partial, partial.open("w", newline="") as file:
+    with whole_file(trade.folder / "trade.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = [f"{each.name}{part}" for each in trade.quantities for part in ("", "_error", "_interval")]
         units = {each.name: each.unit for each in trade.quantities}

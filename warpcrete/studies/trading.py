@@ -320,7 +320,7 @@ class Trade:
             point.failures[seed] = f"failed: {outcome}"
             folder = self._folder(point, seed)
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / FAILED).write_text(f"{point.failures[seed]}\n")
+            (folder / FAILED).write_text(f"{point.failures[seed]}\n", encoding="utf-8")
         elif isinstance(outcome, WorkerLost):
             point.left_out = f"not run: {outcome}"
         elif isinstance(outcome, dict | KeyboardInterrupt | None):

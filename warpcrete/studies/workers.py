@@ -15,11 +15,12 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from ..core.errors import WarpcreteError, warn_in_one_line
+from ..core.errors import PlausibilityWarning, WarpcreteError, warn_in_one_line
 
 # Ctrl-C is for the parent to hear, from the first moment on: it says what is to be done.
 BOOT = """\
@@ -135,6 +136,7 @@ def serve() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever is printed must not get among the answers
     warn_in_one_line()
+    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has given them
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()

@@ -1,0 +1,326 @@
+"""What is possible and what is usual: every parameter of every scene, options, files, and the words of messages."""
+
+import subprocess
+import sys
+import time
+import warnings
+
+import pytest
+import trimesh
+from click.testing import CliRunner
+
+from warpcrete import SceneError, scenes
+from warpcrete.cli.main import cli
+from warpcrete.cli.theory import fields as theory_fields
+from warpcrete.core.amounts import UNITS, amount
+from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
+from warpcrete.core.limits import LIMITS, check_limit, limit_of
+from warpcrete.core.parameters import Above, Within, declared_fields
+from warpcrete.geometry import meshes
+from warpcrete.geometry.lines import line_of
+from warpcrete.mix.mix import mix_of
+from warpcrete.scenes import modules
+from warpcrete.studies.cases import MOST_CASES, cases_of
+
+FIELDS = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
+IMPOSSIBLE = (1e-300, -1e-300, 1e300, -1e300, 5e-324, 2e-310, -2e-310, 10**30, -(10**30), 10**400, float("nan"),
+              float("inf"), -float("inf"), 1e-30, 1e30)  # fmt: skip
+"""Numbers that no parameter can have: as large, as small or as many digits as can be, and none."""
+NEAR_ZERO = {"tolerance"}
+"""Parameters of which a number near 0 is meant as such."""
+
+
+def refused(make, *names):
+    """Return the message with which something is refused: one line, naming one of the `names`, without a warning."""
+    begun = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", PlausibilityWarning)
+        with pytest.raises(WarpcreteError) as caught:
+            make()
+    text = str(caught.value)
+    assert text.isprintable() and len(text) < 1200
+    assert not names or text.partition(" = ")[0] in names, text
+    assert time.perf_counter() - begun < 20  # no long silence, on however busy a machine
+    return text
+
+
+@pytest.mark.parametrize("scene", FIELDS)
+def test_no_scene_has_an_impossible_number(scene):
+    for name, field in FIELDS[scene].items():
+        if field.kind in (int, float):
+            for value in IMPOSSIBLE:
+                refused(lambda name=name, value=value: modules()[scene].scene(**{name: value}), name)
+
+
+@pytest.mark.parametrize("scene", FIELDS)
+def test_every_number_of_a_scene_has_limits(scene):
+    """Within them it is made or refused for a reason of its own, without a warning of NumPy's or a long silence."""
+    for name, field in FIELDS[scene].items():
+        if field.kind is float:
+            limit = limit_of(name, field.unit.strip())
+            assert limit is not None and limit.why, f"{name}{field.unit}: add its unit to core/limits.py"
+            assert field.default is None or not isinstance(field.default, float) or not field.default or (
+                limit.low < abs(field.default) < limit.high
+            ), name  # fmt: skip
+            for value in (limit.low, 10 * limit.low, limit.high / 10, limit.high, -limit.low):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")
+                    warnings.simplefilter("ignore", PlausibilityWarning)
+                    try:
+                        modules()[scene].scene(**{name: value})
+                    except WarpcreteError as error:
+                        assert str(error).isprintable()
+        if field.kind is str:
+            for text in ("a\0b", "x" * 100_000):
+                try:
+                    modules()[scene].scene(**{name: text})
+                except WarpcreteError as error:
+                    assert str(error).isprintable() and len(str(error)) < 3000
+                else:
+                    pytest.fail(f"{scene} {name}: {text[:5]}... was accepted")
+
+
+def test_scenes_give_no_warning_of_their_defaults():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for module in modules().values():
+            module.scene()
+
+
+def test_negative_zero_is_zero():
+    assert str(scenes.tube(slip_thickness=-0.0).parameters["slip_thickness"]) == "0.0"
+
+
+DIFFERENT = {"gravity"}
+"""Parameters with bounds of several kinds: a vessel empties by gravity, a level pipe has none, and elements may
+be pumped downwards."""
+
+
+def test_scenes_that_share_a_parameter_have_the_same_rules():
+    """A number that means the same, as its help text says, has the same bounds wherever it is declared."""
+    alike = {}
+    for scene, fields in FIELDS.items():
+        for name, field in fields.items():
+            if field.kind in (int, float):
+                bounds = tuple(rule for rule in field.rules if isinstance(rule, Above | Within))
+                alike.setdefault((name, field.help), {})[scene] = bounds
+    shared = {key: found for key, found in alike.items() if len(found) > 1}
+    assert len(shared) > 60
+    assert {name for (name, _), found in shared.items() if len(set(found.values())) > 1} == DIFFERENT
+
+
+@pytest.mark.parametrize("scene", ["slump", "funnel", "lbox", "part", "channel", "tube"])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("slip_thickness", float("nan")), ("slip_thickness", -float("inf")), ("slip_thickness", -1.0), ("density", 1.0),
+     ("maximum_iterations", 10**23), ("density", 0.0), ("viscosity", -1.0), ("slip_viscosity", 0.0),
+     ("yield_stress", -1.0), ("slip_yield", float("nan")), ("seed", 10**30), ("gravity", float("inf"))],
+)  # fmt: skip
+def test_flows_refuse_the_same(scene, name, value):
+    refused(lambda: getattr(scenes, scene)(**{name: value}), name)
+
+
+@pytest.mark.parametrize("name", theory_fields())
+def test_theory_knows_the_limits(name):
+    if theory_fields()[name].kind is not float:
+        return
+    for value in IMPOSSIBLE:
+        refused(lambda value=value: CliRunner().invoke(cli, ["theory", f"--{name.replace('_', '-')}={value!r}"],
+                                                       catch_exceptions=False), name)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["theory", "--flow"], ["theory", "--pressure"], ["theory", "--rest"], ["theory", "--segregation"],
+     ["line", "burj-khalifa", "--theory", "--flow"], ["line", "burj-khalifa", "--theory", "--rest"],
+     ["line", "burj-khalifa", "--theory", "--layer-factor"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_options_know_the_limits(arguments):
+    for value in IMPOSSIBLE:
+        words = [*arguments[:-1], f"{arguments[-1]}={value!r}"]
+        found = CliRunner().invoke(cli, words)
+        assert found.exit_code != 0 and (isinstance(found.exception, WarpcreteError) or found.exit_code == 2), words
+
+
+MEANT = [
+    ("flow", 35.0, "m3/s", "35 m3/h?"), ("diameter", 125.0, "m", "125 mm?"), ("density", 2.35, "kg/m3", "2.35 t/m3?"),
+    ("pressure", 1e12, "Pa", ""), ("size_max", 16.0, "m", "16 mm?"), ("velocity", 300.0, "m/s", "300 cm/s?"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "value", "unit", "meant"), MEANT)
+def test_an_impossible_number_is_refused_with_the_unit_that_was_meant(name, value, unit, meant):
+    text = refused(lambda: check_limit(name, value, unit), name)
+    assert "is impossible: must be" in text and text.endswith(meant or ")") and LIMITS[name].why in text
+
+
+def test_bare_numbers_are_taken_for_what_they_were_meant():
+    assert "35 m3/h?" in refused(lambda: line_of({"diameter": 0.125, "flow": 35, "parts": [{"straight": 10}]}), "flow")
+    assert "125 mm?" in refused(lambda: line_of({"diameter": 125, "parts": [{"straight": 10}]}), "diameter")
+    assert "125 mm?" in refused(lambda: scenes.tube(diameter=125), "diameter")
+    assert "35 m3/h?" in refused(lambda: scenes.tube(flow=35), "flow")
+    assert "250 mm?" in refused(
+        lambda: line_of({"diameter": 0.125, "parts": [{"reducer": {"to": 250, "length": 1}}]}), "part 1, reducer: to"
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: scenes.tube(diameter=3.0, flow=0.01, spacing=0.1, length=3.0, time_step=0.1, sample_interval=0.1),
+         "diameter = 3 m: is unlikely, as concrete is pumped through 50 to 200 mm"),
+        (lambda: line_of({"diameter": 0.05, "flow": 0.03, "parts": [{"straight": 10}]}),
+         "flow = 0.03: makes concrete flow at 15.3 m/s, which is unlikely"),
+        (lambda: scenes.pipe(velocity=20.0), "velocity = 20 m/s: is unlikely"),
+        (lambda: scenes.tube(flow=0.1, time_step=1e-4, sample_interval=1e-3),
+         "flow = 0.1: makes concrete flow at 12.7 m/s"),
+        (lambda: mix_of(MIX | {"parts": PARTS | {"sand": 700}}),
+         "mix parts: fill 0.929 m3 of 1 m3, which leaves 7.1 % of air"),
+        (lambda: mix_of(MIX | {"parts": PARTS | {"Dynamon": 3}}), "mix parts: 'Dynamon' is no known ingredient"),
+    ],
+)  # fmt: skip
+def test_the_unlikely_is_warned_of(make, says):
+    with pytest.warns(PlausibilityWarning) as caught:
+        make()
+    assert any(says in str(each.message) for each in caught), [str(each.message) for each in caught]
+
+
+MIX = {"concrete": {"yield_stress": 60, "viscosity": 40}}
+PARTS = {"cement": 340, "limestone": 190, "water": 175, "sand": 810, "gravel": 820}
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"cment": 10}, r"^mix parts = 'cment': is no known ingredient; did you mean 'cement'\?"),
+        ({"sand": 400}, r"fill 0\.815 m3 of 1 m3 without air; list all of them"),
+        ({"sand": 1100}, r"fill 1\.080 m3 of 1 m3 without air"),
+        ({"cement": 1e-30}, r"^mix parts: cement = 1e-30: must be in \[0\.01, 5000\] kg/m3"),
+        ({"cement": "340 kg"}, r"^mix parts: cement = '340 kg': must be a number with one of kg/m3"),
+    ],
+)
+def test_parts_that_make_no_cubic_metre_are_refused(more, says):
+    with pytest.raises(SceneError, match=says):
+        mix_of(MIX | {"parts": PARTS | more})
+
+
+def test_stated_air_belongs_to_the_cubic_metre():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mix_of(MIX | {"parts": PARTS, "air": "3 %"})
+        mix_of(MIX | {"parts": PARTS | {"sand": 700}, "air": "7 %"})
+    with pytest.raises(SceneError, match=r"fill 1\.120 m3 of 1 m3, with 15 % of air"):
+        mix_of(MIX | {"parts": PARTS, "air": "15 %"})
+
+
+def test_a_missing_sieve_curve_is_told(tmp_path):
+    path = tmp_path / "mix.yaml"
+    path.write_text("mix:\n  density: 2300\n  spread: 600 mm\n", encoding="utf-8")
+    assert "the mix has no sieve curve" in CliRunner().invoke(cli, ["mix", str(path)]).output
+    scene = scenes.pipe(concrete=path)
+    assert any("has no sieve curve: its aggregate is taken as gaussian, 5 to 20 mm" in r for r in scene.remarks)
+    assert any("has no sieve curve" in remark for remark in scenes.part_dem(concrete=path).remarks)
+    for more in ({"concrete": "zhan"}, {"concrete": path, "size_max": 0.016}, {"concrete": "xu-no1"}):
+        assert not any("sieve" in remark for remark in scenes.pipe(**more).remarks)
+    repeated = scene.parameters
+    path.unlink()
+    assert scenes.pipe(**repeated).parameters == repeated
+
+
+@pytest.mark.parametrize(
+    ("given", "unit", "value"),
+    [("35m3/h", "m3/s", 35 / 3600), ("26 yd3/h", "m3/s", 26 * 0.764554857984 / 3600), ("5 ft", "m", 1.524),
+     ("4 inches", "m", 0.1016), ("1000 psi", "Pa", 6894757.293), ("147 lb/ft3", "kg/m3", 2354.714),
+     ("10 min", "s", 600.0), ("1 h", "s", 3600.0), ("5 %", "1", 0.05), ("2 GPa", "Pa", 2e9)],
+)  # fmt: skip
+def test_units_of_other_countries(given, unit, value):
+    assert amount("it", given, unit) == pytest.approx(value, rel=1e-6)
+
+
+def test_every_unit_has_a_limit_and_every_limit_a_unit():
+    assert {limit.unit for limit in LIMITS.values()} - {""} <= set(UNITS)
+    assert {name for name in LIMITS if name in UNITS} == set(UNITS) - {"1", "m3/m3"}
+
+
+def test_parameters_take_amounts_with_units():
+    with_units = scenes.tube(flow="30 m3/h", diameter="125 mm", length="40 cm")
+    assert with_units.parameters == scenes.tube(flow=30 / 3600, diameter=0.125, length=0.4).parameters
+    assert scenes.tube(radius="50 mm").parameters["diameter"] == 0.1
+    assert scenes.pipe(modulus="0.2 MPa", friction="5 %").contact.effective_modulus == 2e5
+    with pytest.raises(SceneError, match=r"diameter = '125 mn': must be a number with one of m, mm, cm"):
+        scenes.tube(diameter="125 mn")
+
+
+def test_commands_take_amounts_with_units(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner().invoke
+    plain = run(cli, ["theory", "--flow", repr(35 / 3600), "--diameter", "0.125", "--rest", "600"])
+    units = run(cli, ["theory", "--flow", "35m3/h", "--diameter", "125 mm", "--rest", "10min"])
+    assert plain.exit_code == 0 and units.output == plain.output
+    assert run(cli, ["line", "burj-khalifa", "--theory", "--flow", "20m3/h", "--rest", "1 h"]).exit_code == 0
+    assert "must be a number with one of m, mm" in str(run(cli, ["run", "tube", "--diameter", "5 kg"]).exception)
+    assert "spacing = 0.05" in str(run(cli, ["run", "tube", "--spacing", "5 cm"]).exception)
+    assert "spacing = 0.05" in str(run(cli, ["study", "tube", "--spacing", "5cm", "6cm"]).exception)
+    assert "spacing = 0.05" in str(run(cli, ["explain", "tube", "--spacing", "5 cm"]).exception)
+
+
+def test_cases_of_a_study_are_counted_before_they_are_made():
+    for more in (dict(repeat=10**9), dict(repeat=MOST_CASES + 1)):
+        refused(lambda more=more: cases_of({}, {"a": [1.0]}, **more), "repeat")
+    many = list(range(10**4))
+    refused(lambda: cases_of({}, {"a": many, "b": many, "c": many}), "study")
+    assert len(cases_of({}, {"a": many})) == len(many)
+
+
+def test_long_columns_are_refused_before_they_are_laid_out():
+    assert "particles; at most" in refused(lambda: scenes.tube(length=9e3), "length")
+    assert "at most" in refused(lambda: line_of({"diameter": 0.1, "parts": [{"straight": 1}] * 2001}), "parts")
+
+
+def test_places_beyond_all_lines_are_refused_without_a_warning(tmp_path):
+    parts = [{"straight": 1}, {"hose": {"points": [[1e300, 0, 0]]}}]
+    refused(lambda: line_of({"diameter": 0.1, "parts": parts}), "part 2, hose: points")
+    mesh = tmp_path / "far.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1e30 0\nf 1 2 3\n", encoding="utf-8")
+    text = refused(lambda: scenes.pipe(wall=str(mesh)), "wall")
+    assert "has a corner 1e+30 m away; at most 10000 m are possible" in text
+    assert "elbow" not in refused(lambda: scenes.part(straight=1e300), "straight")
+
+
+def test_meshes_of_too_many_triangles_are_refused(monkeypatch):
+    monkeypatch.setattr(meshes, "MOST_FACES", 11)
+    assert "has 12 triangles; at most 11 are read" in refused(
+        lambda: meshes.load(trimesh.creation.box(), "wall"), "wall"
+    )
+
+
+def test_the_nearest_word_is_suggested():
+    assert suggested("diametre", ["diameter", "length"]) == "did you mean 'diameter'?"
+    assert suggested("wall-friction", ["wall_friction"]) == "did you mean 'wall_friction'?"
+    assert suggested("xyz", ["diameter"]) == suggested(5, ["diameter"]) == ""
+    assert known_names("a", ["b", "c"]) == "known are b, c"
+    assert known_names("lenght", ["length", *map(str, range(20))]) == "did you mean 'length'?"
+    for make, says in (
+        (lambda: scenes.pipe(diametre=0.1), "parameter = 'diametre': is none of scene pipe; did you mean 'diameter'?"),
+        (lambda: scenes.pipe(concrete="zahn"), "did you mean 'zhan'?"),
+        (lambda: scenes.tube(concrete="n01"), "did you mean 'no1'?"),
+        (lambda: scenes.pipe(unit="vertcal"), "did you mean 'vertical'?"),
+        (lambda: amount("flow", "30 m3/hr", "m3/s"), "did you mean 'm3/h'?"),
+        (lambda: mix_of({"density": 2300, "spred": 0.6}), "did you mean 'spread'?"),
+        (lambda: line_of({"diamter": 0.1}), "did you mean 'diameter'?"),
+    ):
+        assert says in refused(make)
+
+
+@pytest.mark.parametrize("words", [["theory", "--flow", "0.11"], ["run", "tube", "--diameter", "125"]], ids=" ".join)
+def test_the_command_says_it_in_one_line(words, tmp_path):
+    code = "from warpcrete.cli.main import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, encoding="utf-8", cwd=tmp_path)
+    (line,) = done.stderr.splitlines()
+    if words[0] == "theory":
+        assert done.returncode == 0 and line.startswith("warning: flow = 0.11: makes concrete flow at 14 m/s")
+    else:
+        assert done.returncode == 2 and line.startswith("error: diameter = 125.0: is impossible") and "125 mm?" in line
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,48 @@
+"""Entries of a line's file: their names, units and meaning."""
+
+from __future__ import annotations
+
+TEXTS = {
+    "name": "name of the line",
+    "source": "origin of its data",
+    "concrete": "name of a concrete, or the path of its file beside this one",
+}
+"""Texts of a line's file, with their meaning."""
+AMOUNTS = {
+    "recorded": ("Pa", "pressure that was recorded at the pump"),
+    "diameter": ("m", "inner diameter of the first part"),
+    "flow": ("m3/s", "volume flow"),
+    "largest_stone": ("m", "largest stone of the concrete"),
+}
+"""Numbers of a line's file that are above 0, with their units and meaning."""
+KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
+PARTS = {
+    "straight": {
+        "length": ("m", "length of its axis"),
+        "rise": ("m", "height that it gains, to check where the line goes"),
+        "diameter": ("m", "inner diameter, to check that the parts fit"),
+    },
+    "bend": {
+        "angle": ("degrees", "angle; the default goes all the way that 'to' names"),
+        "radius": ("m", "radius of its centreline"),
+        "to": ("", "direction in which it leads"),
+    },
+    "reducer": {"to": ("m", "inner diameter behind it"), "length": ("m", "length of its axis")},
+    "hose": {
+        "points": ("m", "points along its axis from where it begins: ahead, to the left, up"),
+        "layer": ("1", "resistance of its slip layer over that of a pipe"),
+    },
+    "bore": {
+        "file": ("", "mesh file beside this one, which begins at its origin and leads along its x"),
+        "scale": ("1", "factor from the unit of the mesh to metres, 0.001 for mm"),
+        "length": ("m", "length along the line"),
+        "outlet": ("m", "inner diameter behind it"),
+    },
+}
+"""Kinds of parts, and the entries of each with their units and meaning; a part without keys states the first."""
+LIMITED_AS = {"largest_stone": "size_max", "recorded": "pressure", "to": "diameter", "outlet": "diameter"}
+"""Names of quantities whose limits hold for entries of another name."""
+MOST_PARTS, MOST_POINTS = 2000, 500
+"""Parts of a line and points of a hose; the longest lines that were pumped have some hundred parts."""
+BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
+WAYS = ("up", "down", "left", "right", "level", "back")

@@ -1,0 +1,86 @@
+"""What a cubic metre of concrete is made of: ingredients by their names, their densities, and whether they fill it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from ..core.errors import quoted, refuse, suggested
+from ..core.limits import warn
+
+DENSITIES = {
+    **dict.fromkeys(("cement", "clinker", "cem", "opc", "binder", "powder"), 3100.0),
+    **dict.fromkeys(("slag", "ggbs", "ggbfs"), 2900.0),
+    **dict.fromkeys(("limestone", "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass"), 2700.0),
+    **dict.fromkeys(("ash", "flyash", "pfa", "silica", "microsilica", "fume"), 2250.0),
+    **dict.fromkeys(("water", "ice"), 1000.0),
+    **dict.fromkeys(("sand", "gravel", "aggregate", "aggregates", "stone", "stones", "grit", "chippings", "granite",
+                     "basalt", "crushed", "coarse", "fine", "pebbles"), 2650.0),
+    **dict.fromkeys(("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture", "admixtures",
+                     "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
+                     "sp", "latex"), 1100.0),
+    **dict.fromkeys(("steel", "fibres", "fibers", "fibre", "fiber"), 7850.0),
+    **dict.fromkeys(("barite", "baryte"), 4200.0),
+    **dict.fromkeys(("magnetite", "hematite"), 4900.0),
+}  # fmt: skip
+"""Usual density of each ingredient by a word of its name [kg/m3]."""
+COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
+"""Words for coarse aggregate, whose density a mix may state."""
+VARIES = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
+          "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
+"""Words for ingredients of which the density is not known well enough to add up volumes."""
+LEAST = 0.01
+"""Smallest amount of an ingredient [kg/m3]; admixtures have 0.1 and more."""
+FILLED = (0.88, 1.05)
+"""Volumes of all ingredients that are possible in a cubic metre [m3/m3]: the rest is air, and densities vary."""
+USUAL_AIR = (-0.02, 0.06)
+"""Air content that needs no remark [m3/m3]: 1 to 3 % are usual; less than none comes from densities that vary."""
+OFF, FAR_OFF = 0.03, 0.07
+"""Deviations of the whole from a cubic metre, where the air is stated, that are warned of and refused [m3/m3]."""
+
+
+def density_of(name: str) -> float | None:
+    """Return the usual density of an ingredient [kg/m3], or None if it varies or is not known.
+
+    Raises :class:`SceneError` for a name that is a misspelt one.
+    """
+    words = [word for word in re.split(r"[^a-z]+", name.casefold()) if word]
+    if any(word in VARIES for word in words):
+        return None
+    known = [DENSITIES[word] for word in words if word in DENSITIES]
+    if known:
+        return known[-1]  # the last word is the noun, as in "limestone sand"
+    meant = suggested(name, DENSITIES)
+    if meant:
+        refuse("mix parts", name, "is no known ingredient", meant)
+    warn(f"mix parts: {quoted(name)} is no known ingredient, so that volumes cannot be checked")
+    return None
+
+
+def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -> None:
+    """Refuse parts [kg/m3] that cannot fill one cubic metre with the `air` [m3/m3] in it, and warn of unlikely ones.
+
+    `coarse` is the density of the coarse aggregate [kg/m3].
+    """
+    filled, complete = 0.0, True
+    for name, mass in parts.items():
+        density = density_of(name)
+        if density is None:
+            complete = False
+        else:
+            stated = any(word in COARSE for word in re.split(r"[^a-z]+", name.casefold()))
+            filled += mass / (coarse if stated else density)
+    if air is not None:
+        gap = 1 - filled - air
+        words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"
+        if gap < -FAR_OFF or (complete and gap > FAR_OFF):
+            refuse("mix parts", ", ".join(parts), words, "list all of them, in kg/m3")
+        if gap < -OFF or (complete and gap > OFF):
+            warn(f"mix parts: {words}")
+        return
+    words = f"fill {filled:.3f} m3 of 1 m3"
+    if filled > FILLED[1] or (complete and filled < FILLED[0]):
+        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all of them, in kg/m3")
+    if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
+        left = f"which leaves {100 * (1 - filled):.2g} % of air; 'air: 8 %' states it"
+        warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air'}")

@@ -1,0 +1,259 @@
+"""JSON schemas of the files that users write, made from the declarations that also check these files.
+
+Editors complete and validate a file by them. `warpcrete/schemas` holds them; a test compares it with what
+:func:`schemas` makes, and :func:`write_all` renews it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING
+from pathlib import Path
+from typing import Any
+
+from ..core.amounts import UNITS
+from ..core.concretes import SECTIONS, TEXTS
+from ..core.errors import refuse, suggested
+from ..core.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
+from ..core.parameters import Above, Alias, Field, OneOf, Within, declared_fields
+from ..dem.pumping import PipeParameters
+from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
+from ..geometry.line_entries import KEYS as LINE_KEYS
+from ..geometry.line_entries import TEXTS as LINE_TEXTS
+from ..methods import METHODS
+from ..mix import given as mixes
+from ..mix.points import PUMPED
+from ..scenes import modules
+from ..theory.pipe import Concrete
+from .targets import TARGET_KEYS
+
+Schema = dict[str, Any]
+FOLDER = Path(__file__).parents[1] / "schemas"
+DRAFT = "http://json-schema.org/draft-07/schema#"
+"""The draft that editors know best."""
+NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+TEXT: Schema = {"type": ["string", "number"]}
+SAID = {"name": "name of the concrete", "source": "origin of the numbers", "calibrated": "what was fitted, and to what",
+        "base": "name or file of a concrete that this one completes"}  # fmt: skip
+
+
+def schemas() -> dict[str, Schema]:
+    """Return the schema of each kind of file by its name."""
+    return {"concrete": concrete_schema(), "mix": mix_schema(), "line": line_schema(), "targets": targets_schema()}
+
+
+def shipped_schema(kind: str) -> Path:
+    """Return the path of a shipped schema, or raise :class:`SceneError` for a kind of file that has none."""
+    known = sorted(path.stem for path in FOLDER.glob("*.json"))
+    if kind not in known:
+        refuse("schema", kind, f"must be one of {', '.join(known)}", suggested(kind, known))
+    return FOLDER / f"{kind}.json"
+
+
+def write_all(folder: Path = FOLDER) -> None:
+    """Write every schema to `folder`."""
+    folder.mkdir(exist_ok=True)
+    for name, schema in schemas().items():
+        (folder / f"{name}.json").write_text(json.dumps(schema, indent=1) + "\n", encoding="utf-8")
+
+
+def concrete_schema() -> Schema:
+    """Return the schema of a concrete's file."""
+    fields = declared_fields(PipeParameters)
+    _, known = PipeParameters.of_concrete()
+    constants = declared_fields(Concrete)
+    found = {
+        **{name: TEXT | {"description": SAID[name]} for name in TEXTS},
+        "elements": _object({name: of_field(fields[name]) for name in known}, "parameters of discrete elements"),
+        "flow": _object({name: of_field(field) for name, field in constants.items()},
+                        "constants of a Bingham fluid with a slip layer"),
+        "mix": _mix_section(),
+    }  # fmt: skip
+    needed = [{"required": [key]} for key in (*SECTIONS, "mix", "base")]
+    return _file("A concrete of warpcrete", found) | {"anyOf": needed}
+
+
+def mix_schema() -> Schema:
+    """Return the schema of a concrete's file that describes a mix."""
+    return concrete_schema() | {"title": "A mix of warpcrete", "required": ["mix"]}
+
+
+def line_schema() -> Schema:
+    """Return the schema of a line's file."""
+    found = {name: TEXT | {"description": text} for name, text in LINE_TEXTS.items()}
+    found |= {name: quantity(unit, text) for name, (unit, text) in AMOUNTS.items()}
+    found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
+    parts = [_object({kind: _part(kind)}, f"a {kind}", [kind]) for kind in PARTS]
+    found["parts"] = {"type": "array", "minItems": 1, "maxItems": MOST_PARTS, "items": {"anyOf": parts},
+                      "description": "parts in the order of the flow"}  # fmt: skip
+    return _file("A pumping line of warpcrete", {name: found[name] for name in LINE_KEYS}) | {
+        "required": ["diameter", "parts"]
+    }
+
+
+def targets_schema() -> Schema:
+    """Return the schema of a file of targets for a calibration."""
+    known = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
+    numbers = sorted({n for fields in known.values() for n, f in fields.items() if f.kind in (int, float)} - {"seed"})
+    of_scene = {name: _object(_parameters(fields.values()), f"parameters of scene {name}")
+                for name, fields in known.items()}  # fmt: skip
+    quantities = sorted({each.name for method in METHODS for each in method.quantities})
+    end = {"type": ["number", "string"]}
+    ends = {"type": "array", "items": end, "minItems": 2, "maxItems": 2}
+    spread = _object({"low": end, "high": end, "scale": {"enum": ["log", "linear"]}}, "", ["low", "high"])
+    target = _object(
+        {
+            "scene": {"enum": list(known), "description": "scene that measures it"},
+            "quantity": {"enum": quantities, "description": "quantity of its result"},
+            "value": end | {"description": "measured value, in SI units or with its unit"},
+            "uncertainty": end | {"description": "standard deviation, in the unit of the value or as '5%' of it"},
+            "parameters": {"type": "object", "description": "parameters of the scene"},
+            "held_out": {"type": "boolean", "description": "predicted and compared, but not fitted"},
+        },
+        "a measured quantity of a scene",
+        list(TARGET_KEYS[:4]),
+    )
+    target["allOf"] = [
+        {
+            "if": {"properties": {"scene": {"const": name}}},
+            "then": {"properties": {"parameters": {"$ref": f"#/definitions/{name}"}}},
+        }
+        for name in known
+    ]
+    found = {
+        "base": TEXT | {"description": "name or file of the concrete that has everything which is not varied"},
+        "vary": {"type": "object", "minProperties": 1, "propertyNames": {"enum": numbers},
+                 "additionalProperties": {"anyOf": [ends, spread]}, "description": "free parameters and their ranges"},
+        "targets": {"type": "array", "minItems": 1, "items": target, "description": "what was measured"},
+    }  # fmt: skip
+    schema = _file("Targets of a calibration of warpcrete", found) | {"required": ["vary", "targets"]}
+    return schema | {"definitions": of_scene}
+
+
+def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> Schema:
+    """Return the schema of a number in `unit`, or a text of a number and one of the units that people write."""
+    units = "|".join(sorted((_escaped(each) for each in UNITS[unit]), key=len, reverse=True))
+    shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
+    return {
+        "description": shown,
+        "anyOf": [
+            {"type": "number", **(number or {})},
+            {"type": "string", "pattern": rf"^\s*{NUMBER}\s*({units})?\s*$"},
+        ],
+    }
+
+
+def of_field(field: Field) -> Schema:
+    """Return the schema of a declared parameter."""
+    found: Schema = {"description": field.help}
+    if field.kind is float:
+        found = quantity(field.units, field.help, _bounds(field))
+    elif field.kind is int:
+        most = LARGEST_SEED if field.name == "seed" else LARGEST_INTEGER
+        found |= {"type": "integer", "maximum": most, **_bounds(field)}
+    elif field.kind is bool:
+        found["type"] = "boolean"
+    else:
+        choices = next((list(rule.choices) for rule in field.of_kind(OneOf)), None)
+        found |= {"enum": choices} if choices else {"type": "string"}
+    if field.optional:
+        found = {"description": field.help, "anyOf": [found, {"type": "null"}]}
+    if field.default not in (MISSING, None):
+        found["default"] = field.default
+    return found
+
+
+def _bounds(field: Field) -> Schema:
+    """Return the bounds of a number by the rules of its field and by the table of limits."""
+    found: Schema = {}
+    limit = limit_of(field.name, field.unit.strip())
+    if field.kind is float and limit is not None:
+        found = {"minimum": -limit.high, "maximum": limit.high}
+    for rule in field.rules:
+        if isinstance(rule, Above):
+            found.pop("minimum", None)
+            found["exclusiveMinimum"] = rule.lower
+        if isinstance(rule, Within):
+            if rule.lower > found.get("minimum", float("-inf")) and "exclusiveMinimum" not in found:
+                found["minimum"] = rule.lower
+            found["maximum"] = min(rule.upper, found.get("maximum", float("inf")))
+    return {name: value for name, value in found.items() if abs(value) != float("inf")}
+
+
+def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
+    """Return the schema of each parameter of a scene by every name that it has."""
+    found = {}
+    for field in fields:
+        for name in (field.name, *(alias.name for alias in field.of_kind(Alias))):
+            found[name] = of_field(field)
+    return found
+
+
+def _part(kind: str) -> Schema:
+    """Return the schema of what a part says."""
+    special: dict[str, Schema] = {
+        "to": {"enum": list(WAYS)},
+        "file": {"type": "string"},
+        "points": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS,
+                   "items": {"type": "array", "items": quantity("m", "coordinate"), "minItems": 3, "maxItems": 3}},
+    }  # fmt: skip
+    found = {}
+    for name, (unit, text) in PARTS[kind].items():
+        plain = name in special and (name != "to" or kind == "bend")
+        found[name] = special[name] | {"description": text} if plain else quantity(unit, text)
+    first = next(iter(found))
+    return {"anyOf": [found[first], _object(found)]}
+
+
+def _mix_section() -> Schema:
+    """Return the schema of the section `mix`."""
+    amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
+    constants = {name: quantity(unit, name.replace("_", " ")) for name, unit in mixes.UNITS.items()}
+    off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
+    passing = quantity("1", "part of the mass that passes")
+    special: dict[str, Schema] = {
+        "parts": {"type": "object", "minProperties": 1, "additionalProperties": quantity("kg/m3", "mass")},
+        "aggregate": {"type": ["number", "string"]},
+        "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
+                  "propertyNames": {"pattern": rf"^\s*{NUMBER}\s*(mm|um|cm|m|in|inch|inches)?\s*$"}},
+        "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
+        "shape": {"anyOf": [{"enum": list(mixes.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
+        "concrete": _object(constants | off),
+        "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
+        "viscometer": _points(mixes.SHEARED),
+        "layer": {"anyOf": [
+            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity over thickness"), **off}, "",
+                    ["yield_stress", "viscosity"]),
+            _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
+                                                   for name in ("diameter", "length", "rise")}}, "",
+                    ["points", "diameter", "length"]),
+            _object({"tribometer": _points(mixes.SLIPPED)}, "", ["tribometer"]),
+        ]},
+    }  # fmt: skip
+    others = {name: special[name] | {"description": text} for name, text in mixes.OTHERS.items()}
+    found = _object({name: {**amounts, **others}[name] for name in mixes.KEYS}, "what is known of a mix")
+    return found | {"anyOf": [{"required": ["density"]}, {"required": ["parts"]}]}
+
+
+def _points(columns: Mapping[str, str]) -> Schema:
+    """Return the schema of pairs of numbers, or of the path of a CSV file."""
+    pair = [quantity(unit, name) for name, unit in columns.items()]
+    pairs = {"type": "array", "minItems": 2,
+             "items": {"type": "array", "items": pair, "minItems": 2, "maxItems": 2}}  # fmt: skip
+    return {"anyOf": [{"type": "string"}, pairs]}
+
+
+def _object(properties: Mapping[str, Schema], text: str = "", required: list[str] | None = None) -> Schema:
+    found: Schema = {"type": "object", "additionalProperties": False, "properties": dict(properties)}
+    if text:
+        found["description"] = text
+    return found | ({"required": required} if required else {})
+
+
+def _file(title: str, properties: Mapping[str, Schema]) -> Schema:
+    return {"$schema": DRAFT, "title": title, **_object(properties)}
+
+
+def _escaped(unit: str) -> str:
+    return "".join(f"\\{each}" if each in ".^$*+?()[]{}|/" and each != "/" else each for each in unit)
