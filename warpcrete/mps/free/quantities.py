@@ -12,6 +12,7 @@ from ...core.method import Quantity
 from ...core.run_loop import Run
 from ...core.units import number
 from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
+from ..quantities import largest
 from .scene import FreeScene
 
 T500 = 0.5
@@ -175,7 +176,7 @@ QUANTITIES = (
     Quantity("t200", "s", lambda k: k.when("front", 0.2) if k.is_box else None, "T200", None, True),
     Quantity("t400", "s", lambda k: k.when("front", 0.4) if k.is_box else None, "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: k.last("fastest")),
-    Quantity("volume_error", "1", lambda k: float(max(k.series["volume_error"], key=abs))),
+    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
 )  # fmt: skip
 
 
