@@ -362,7 +362,7 @@ def test_usd_has_looks_light_and_words(pumped):
     assert not instancer.GetOrientationsAttr().HasAuthoredValue()  # of balls
     assert not instancer.GetVelocitiesAttr().HasAuthoredValue()
     colour = UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor")
-    for code, found in zip(codes, seen.found[::2]):
+    for code, found in zip(codes, seen.found[::2], strict=True):
         assert np.array(colour.ComputeFlattened(code)) == pytest.approx(linear(found.colours), abs=1e-6)
 
 

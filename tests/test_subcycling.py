@@ -136,14 +136,6 @@ def test_momentum_is_kept(device, precision, shape, loose):
     assert np.abs(after - before).max() < rounding
     # A loose body's contact is seen where the chain will be if nothing stops it: right to second order in the step,
     # measured 2.3e-6.
-    print(
-        precision,
-        shape,
-        loose,
-        np.abs(turned - turning).max() / (MASS * 0.03),
-        np.abs(turning).max() / (MASS * 0.03),
-        stepper.dt,
-    )
     assert np.abs(turned - turning).max() < 0.03 * (rounding + (5e-6 * MASS if loose else 0.0))
 
 
