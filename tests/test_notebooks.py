@@ -17,16 +17,11 @@ NotebookClient = pytest.importorskip("nbclient").NotebookClient
 pytest.importorskip("ipykernel")
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
-TOLERANCES = {
-    "01_pump_concrete": 0.02,
-    "02_trade": 0.02,
-    "03_calibrate": 0.02,
-    "04_line": 0.02,
-    "05_own_pipe": 0.02,
-    "06_mix": 0.02,
-    "07_flow": 0.02,
-}
-"""Relative difference that a number may have from the stored one, beside a unit in its last place."""
+TOLERANCES = {"01_pump_concrete": 0.04}
+"""Relative difference that a number may have from the stored one, beside a unit in its last place, where packings part
+by rounding; of one seed the plateau scatters by 1 %."""
+TOLERANCE = 0.01
+"""The same for all others: in double precision and on one thread they differ by 0.004 at most."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 PASSING = re.compile(r"(?:/[\w.-]+){2,}|\b[0-9a-f]{16,}\b")
 """Folders and hashes, which are others each time or on each machine."""
@@ -75,7 +70,7 @@ def test_a_notebook_comes_to_what_is_stored(path, tmp_path):
         if "timed" not in old.metadata.get("tags", ()):
             for one, other in zip(before, now, strict=True):
                 compared += differences(one, other)
-    assert len(compared) >= 4 and max(compared) <= TOLERANCES[path.stem], max(compared)
+    assert len(compared) > 5 and max(compared) <= TOLERANCES.get(path.stem, TOLERANCE), max(compared)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
