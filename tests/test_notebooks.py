@@ -17,11 +17,11 @@ NotebookClient = pytest.importorskip("nbclient").NotebookClient
 pytest.importorskip("ipykernel")
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
-TOLERANCES = {"01_pump_concrete": 0.04}
-"""Relative difference that a number may have from the stored one, beside a unit in its last place, where packings part
-by rounding; of one seed the plateau scatters by 1 %."""
 TOLERANCE = 0.01
-"""The same for all others: in double precision and on one thread they differ by 0.004 at most."""
+"""Relative difference that a number may have from the stored one, beside a unit in its last place: in double precision
+and on one thread they differ by 0.004 at most."""
+TOLERANCES = {"01_pump_concrete": 0.04, "07_flow": 0.07}
+"""The same of a packing, which parts by rounding (measured 0.016), and of a surface, whose steps do (0.057)."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 PASSING = re.compile(r"(?:/[\w.-]+){2,}|\b[0-9a-f]{16,}\b")
 """Folders and hashes, which are others each time or on each machine."""
