@@ -65,7 +65,6 @@ def test_small_upright_units_bear_weight_and_friction(device):
     """What no value of ours enters: between a column without friction and one in a silo."""
     for vertical, horizontal in zip(small_units(device, "vertical"), small_units(device, "horizontal"), strict=True):
         least, most = between_weight_and_silo(vertical, horizontal)
-        print("SILO", least, figures(vertical)[1], most)
         assert least < figures(vertical)[1] < most
 
 
