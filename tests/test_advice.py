@@ -81,8 +81,7 @@ def test_what_a_setting_makes_meaningless_is_left_out(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--aggregates", "--aggregate-fraction", "0.2", "--duration", "0.02", "--accuracy",
                    "20%", "--out", tmp_path / "r", *bare)  # fmt: skip
-    # It runs; whether 20 ms are enough for its checks is not asked here.
-    assert done.returncode in (0, 3) and "phases one phase" in done.stderr, done.stderr
+    assert done.returncode == 0 and "phases one phase" in done.stderr, done.stdout + done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     assert made["aggregates"] is False and made["aggregate_fraction"] is None
     # What is chosen by hand stays, and is said to be missing from the setting.

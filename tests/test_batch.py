@@ -70,7 +70,7 @@ def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monke
 def test_pumping_cases_pack_settle_and_run_in_a_batch_as_alone(device):
     some = [scenes.pipe(velocity=v, seed=s, **SMALL) for v, s in ((0.3, 0), (0.6, 0), (0.6, 1))]
     batched = run_batch(simulate(device, some))
-    for one, other in zip(alone(device, some), batched):
+    for one, other in zip(alone(device, some), batched, strict=True):
         assert isinstance(other, Run) and other.finished
         assert one.result["state_hash"] == other.result["state_hash"]
         assert one.packing == other.packing
@@ -110,7 +110,7 @@ def test_unlike_scenes_fall_into_batches_of_their_own(device):
     frictionless = scenes.pipe(friction=0.0, bonds=False, **SMALL)
     simulations = simulate(device, [bonded, frictionless])
     runs = run_batch(simulations)
-    assert all(isinstance(run, Run) and run.finished for run in runs)
+    assert [isinstance(run, Run) and run.finished for run in runs] == [True] * 2
     assert simulations[1].stepper.batch.count == 1
 
 
@@ -153,7 +153,7 @@ def test_an_interruption_of_one_scene_ends_all(device):
     simulations = simulate(device, [falling(0.1), falling(0.2), falling(0.3)])
     simulations[1].recorders.append(Interrupted())
     runs = run_batch(simulations)
-    assert all(isinstance(run, Run) and not run.finished for run in runs)
+    assert [isinstance(run, Run) and not run.finished for run in runs] == [True] * 3
     assert all(0 < len(run.series["time"]) <= 4 for run in runs)
 
 
@@ -169,7 +169,7 @@ def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
         simulation.save(paths[-1])
     some = [scenes.pipe(seed=seed, **SMALL) for seed in (0, 1)]
     together = run_batch(simulate("cpu", some), checkpoints=paths)
-    for path, scene, other in zip(paths, some, together):
+    for path, scene, other in zip(paths, some, together, strict=True):
         one = Simulation(scene, device="cpu", threads=1)
         one.resume(path)
         assert one.run().result["state_hash"] == other.result["state_hash"]

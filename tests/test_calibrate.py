@@ -250,8 +250,7 @@ def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
         resume_calibration(out, modules(), trials=2)
     more = resume_calibration(out, modules(), trials=7)
     assert more.finished and all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
-    if not again.settled:
-        assert len(more.searched) == 7
+    assert not again.settled and len(more.searched) == 7
     # Every trial has the values of its own parameters: pressure grows evenly with the layer's viscosity.
     (target, _) = more.task.targets
     layers = [more.task.values(trial.units)["slip_viscosity"] for trial in more.trials]

@@ -32,7 +32,7 @@ def test_a_tall_cylinder_slumps_as_murata_has_it():
     """s / H = 1 - 2 t (1 - ln 2 t), t = tau / (rho g H) (Pashias et al. 1996), and not at all above half the weight."""
     for t in (0.05, 0.2, 0.4):
         found = tall_cone_slump(0.1, 0.1, 0.3, t * 2000 * 9.81 * 0.3, 2000.0, bears=2)
-        assert found / 0.3 == pytest.approx(1 - 2 * t * (1 - math.log(2 * t)), abs=1e-4)
+        assert found / 0.3 == pytest.approx(1 - 2 * t * (1 - math.log(2 * t)), abs=1e-6)
     assert tall_cone_slump(0.1, 0.1, 0.3, 0.51 * 2000 * 9.81 * 0.3, 2000.0, bears=2) == 0
 
 
@@ -78,17 +78,17 @@ def test_ducts_between_the_known_ones():
     """A slot and a square: Newton's resistance, and Bingham's in the slot."""
     wide = np.array([1.0])
     newton, radius = duct_stress(np.array([0.1]), wide, 1.0, 20.0, 0.0)
-    assert newton / radius == pytest.approx(28.454 * 20 * 0.1, rel=2e-3)  # of a square of 1 m (Shah & London 1978)
+    assert newton / radius == pytest.approx(28.454 * 20 * 0.1, rel=1e-4)  # of a square of 1 m (Shah & London 1978)
     stress, radius = duct_stress(np.array([0.1]), np.array([1e6]), 0.02, 20.0, 50.0)
     q = 50.0 / stress
-    assert 0.01 * stress / (3 * 20.0) * (1 - 1.5 * q + 0.5 * q**3) == pytest.approx(0.1, rel=1e-4)
+    assert 0.01 * stress / (3 * 20.0) * (1 - 1.5 * q + 0.5 * q**3) == pytest.approx(0.1, rel=1e-7)
 
 
 def test_a_straight_funnel_empties_as_a_duct_does():
     """Weight over resistance is the same at any level: the speed is one, but for inertia."""
     time = funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 500.0, 0.0, 2300.0)
     speed = 2300 * 9.81 * 0.06**2 / (28.454 * 500.0)
-    assert time == pytest.approx(0.6 / speed, rel=0.01)
+    assert time == pytest.approx(0.6 / speed, rel=2e-4)
     assert math.isinf(funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 20.0, 500.0, 2300.0))
 
 
@@ -102,5 +102,5 @@ def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
     for n in range(len(x) - 1, 0, -1):
         slope = tau * (0.2 + 2 * depth[n]) / (2300 * 9.81 * 0.2 * depth[n])
         depth[n - 1] = depth[n] + min(slope * (x[1] - x[0]), 1e-3)
-    assert depth[0] == pytest.approx(near, rel=0.01)
-    assert np.trapezoid(depth, x) * 0.2 == pytest.approx(0.012, rel=0.01)
+    assert depth[0] == pytest.approx(near, rel=5e-4)
+    assert np.trapezoid(depth, x) * 0.2 == pytest.approx(0.012, rel=1e-3)

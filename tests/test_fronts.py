@@ -47,6 +47,8 @@ def test_the_next_error_stays_within_what_is_promised():
     # |mean| + t s sqrt(1 + 1/n) bounds the next one on either side, and so a little more than 95 % of them.
     assert 0.945 <= np.mean(held) <= 0.99
     assert next_within([-0.03]) == 0.03 and next_within([0.01, 0.01]) == pytest.approx(0.01)
+    for shifts in ([-0.03], [-0.03, -0.01], [0.01, -0.04, -0.02]):
+        assert next_within(shifts) == next_within([-shift for shift in shifts]) > abs(np.mean(shifts)) - 1e-12
 
 
 def test_the_front_is_what_nothing_beats():

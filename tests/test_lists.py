@@ -11,7 +11,7 @@ from warpcrete.core.device import find_device, share_out_like_a_gpu
 from warpcrete.dem import cells, neighbors
 from warpcrete.dem.bodies import placed_bodies
 from warpcrete.dem.model import build_model
-from warpcrete.dem.scene import Bodies, Contact, Scene
+from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.dem.state import State
 from warpcrete.dem.stepper import steppers_of
 
@@ -229,3 +229,22 @@ def test_a_state_that_is_no_number_does_not_stop_the_cells(way):
     stepper.rebuild()
     found, (sure, perhaps) = listed(stepper), near(stepper)
     assert sure <= found <= perhaps and len(sure) > 10  # no pair of what is nowhere
+
+
+@pytest.mark.parametrize("towards", [-1.0, 1.0], ids=["apart", "together"])
+def test_lists_last_until_a_sphere_has_gone_half_a_skin(start, towards):
+    """Two spheres that each go a little less than half of it keep their lists; with a step more these are anew."""
+    skin, dt = 5e-3, 1e-4
+    place = np.array([[-0.05, 0, 0], [0.05, 0, 0]])
+    speed = 0.5 * skin / (10.5 * dt)
+    scene = Scene(
+        name="two", duration=1.0, gravity=(0, 0, 0), contact=Contact(friction=0.0, normal_damping_ratio=0.0),
+        bodies=(Bodies(positions=place, sizes=0.02, velocities=-towards * speed * np.sign(place)),),
+        time_step=TimeStep(fixed=dt),
+    )  # fmt: skip
+    stepper = start(scene, skin=skin)
+    for steps, built_after in ((10, 0), (2, 11)):
+        stepper.take(steps)
+        moved = -towards * speed * dt * np.sign(place[:, 0])
+        built = np.sort(stepper.state.spheres.built.numpy()[:, 0])
+        assert built == pytest.approx(np.sort(place[:, 0] + built_after * moved), rel=1e-9)

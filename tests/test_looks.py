@@ -3,6 +3,7 @@
 import functools
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.record.blueprint import behind, cut_walls
-from warpcrete.record.legend import legend, legend_title, meaning
+from warpcrete.record.legend import legend, legend_title, meaning, paint_legend
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
 from warpcrete.record.usd_looks import linear
@@ -280,6 +281,20 @@ def test_a_cut_leaves_what_lies_behind_the_axis():
     assert behind(plane.display()) is None and cut_walls(plane.display()) == []
 
 
+def test_bars_of_colours_span_the_scale(monkeypatch):
+    """From its lower end, which need not be zero, to its upper one; of walls from zero."""
+    monkeypatch.setattr("warpcrete.record.legend._png", lambda figure: figure)
+    found: Any = legend(SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), things=lambda: {}))
+    painted: Any = paint_legend(SimpleNamespace(upper=3.3, palette="magma"))
+    for figure, span in ((found, (0.23, 0.71)), (painted, (0.0, 3.3))):
+        (axes,) = figure.axes
+        assert axes.get_xlim() == pytest.approx(span)
+        ticks = {place: float(text.get_text()) for place, text in zip(axes.get_xticks(), axes.get_xticklabels())}
+        shown = {place: value for place, value in ticks.items() if span[0] <= place <= span[1]}
+        assert list(shown) == pytest.approx(list(shown.values()))
+        assert max(shown) - min(shown) > 0.6 * (span[1] - span[0])
+
+
 def test_things_have_a_legend_where_colours_tell_them_apart():
     simulation = Simulation(scenes.channel(spacing=5e-3, aggregates=True), device="cpu", threads=1)
     simulation.prepare()
@@ -347,7 +362,7 @@ def test_usd_has_looks_light_and_words(pumped):
     assert not instancer.GetOrientationsAttr().HasAuthoredValue()  # of balls
     assert not instancer.GetVelocitiesAttr().HasAuthoredValue()
     colour = UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor")
-    for code, found in zip(codes, seen.found[::2]):
+    for code, found in zip(codes, seen.found[::2], strict=True):
         assert np.array(colour.ComputeFlattened(code)) == pytest.approx(linear(found.colours), abs=1e-6)
 
 

@@ -93,8 +93,8 @@ def test_aggregate_thickens_by_its_limits():
     """Nothing of nothing; Einstein's 2.5 at first; without bound at the densest packing; Chateau's root."""
     assert thickening(0.0, 2.5, 0.6) == (1.0, 1.0)
     viscosity, stress = thickening(1e-6, 2.5, 0.6)
-    assert (viscosity - 1) / 1e-6 == pytest.approx(2.5, rel=1e-4)
-    assert (stress - 1) / 1e-6 == pytest.approx(0.75, rel=1e-3)
+    assert (viscosity - 1) / 1e-6 == pytest.approx(2.5, rel=2e-5)
+    assert (stress - 1) / 1e-6 == pytest.approx(0.75, rel=1e-5)
     assert thickening(0.6 - 1e-9, 2.5, 0.6)[0] > 1e12
     viscosity, stress = thickening(0.3, 2.5, 0.6)
     assert viscosity == pytest.approx(2 * math.sqrt(2)) and stress == pytest.approx(math.sqrt(0.7 * viscosity))

@@ -24,7 +24,9 @@ from warpcrete.dem.stepper import Stepper
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.linking import BITS
 from warpcrete.kernels.dem.motion import rotation_functions
+from warpcrete.kernels.dem.near import CHOICE_BLOCK, NEAR, near_kernels
 from warpcrete.kernels.dem.pairs import BLOCK
+from warpcrete.kernels.dem.structs import array_structs, links_struct, scene_struct
 
 SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3)
 
@@ -165,6 +167,34 @@ def test_a_sphere_feels_entries_of_which_no_bits_tell(count, energies):
     assert counts == [count for count, _ in full] and max(counts) > 31 and min(counts) < max(counts)
     assert np.abs(half[-1][1] - full[-1][1]).max() < 1e-13 and np.abs(spin - other_spin).max() < 1e-10
     assert lost == pytest.approx(other_lost, rel=1e-9) and (lost > 0) == energies
+
+
+@pytest.mark.parametrize("scalar", [wp.float32, wp.float64], ids=["float32", "float64"])
+def test_near_links_are_those_within_a_quarter_of_the_skin_and_those_that_remember(device, scalar):
+    """A pair that touched or is bonded stays near however far it is: it must be told that the touch is over."""
+    skin, t = 0.01, types(scalar)
+    gaps = skin * np.array([-0.5, 0.24, 0.26, 0.26, 0.9, 0.24])
+    touched, listed = [0, 0, 0, 1, 3, 0], [1, 1, 1, 1, 1, 0]
+    count = len(gaps)
+    place = np.zeros((2 * count, 4))
+    place[:, 3] = 0.02
+    place[1::2, 0] = 0.04 + gaps
+    structs = array_structs(scalar)
+    batch, spheres, links = structs.Scenes(), structs.Spheres(), links_struct(scalar)()
+    row = scene_struct(scalar)()
+    row.skin, row.spheres, row.pairs = skin, 0, 100
+    batch.row = wp.array([row], dtype=scene_struct(scalar), device=device)
+    spheres.position = wp.array(place, dtype=t.vec4, device=device)
+    link = [(2 * p, 2 * p + 1, p, 50 + p) if listed[p] else (-1, -1, -1, -1) for p in range(count)]
+    links.link = wp.array(link, dtype=wp.vec4i, device=device)
+    links.scene = wp.zeros(count, dtype=wp.int32, device=device)
+    links.touched = wp.array(touched, dtype=wp.int32, device=device)
+    links.near = wp.full(count, wp.vec4i(-1, -1, -1, -1), dtype=wp.vec4i, device=device)
+    links.near_count = wp.zeros(2, dtype=wp.int32, device=device)
+    wp.launch(near_kernels(scalar).choose_near, CHOICE_BLOCK, inputs=[batch, spheres, links], device=device,
+              block_dim=CHOICE_BLOCK)  # fmt: skip
+    assert NEAR == 0.25 and links.near_count.numpy().tolist() == [4, 0]
+    assert sorted(links.near.numpy()[:4].tolist()) == [[2 * p, 2 * p + 1, 100 + p, p] for p in (0, 1, 3, 4)]
 
 
 def test_a_stage_that_is_due_now_and_then_is_left_out_else():

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from pumping import wait_until
 from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
@@ -289,8 +290,7 @@ def test_a_recorder_gives_way_to_a_run_that_has_work_for_its_device(monkeypatch)
     time.sleep(0.05)
     assert not done
     with turns.waiting():
-        while len(done) < 2:
-            time.sleep(1e-3)
+        assert wait_until(lambda: len(done) == 2, 60)
     later.do(lambda: job("second"))
     later.wait()
     later.do(lambda: job("third"))
@@ -299,8 +299,7 @@ def test_a_recorder_gives_way_to_a_run_that_has_work_for_its_device(monkeypatch)
     monkeypatch.setattr(turns, "PATIENCE", 1e-3)
     busy = Later(beside=True, gives_way=True)
     busy.do(lambda: done.append("though nobody waits"))
-    while done[-1] != "though nobody waits":
-        time.sleep(1e-3)
+    assert wait_until(lambda: done[-1] == "though nobody waits", 60)
     busy.close()
     later.give_way()  # of others than its thread it keeps nobody
 

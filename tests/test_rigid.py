@@ -93,6 +93,20 @@ def test_pairs_within_a_grain_exchange_nothing_and_others_what_is_mortar(device)
     assert rows[:, 2] == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_grain_shears_the_mortar_between_wall_and_its_own_half_spacing(device):
+    """What the wall's stress moves a particle by, over that stress; nothing is sheared yet, so all is as viscous."""
+    flow = two_phase_flow(device)
+    viscous_stages(flow)
+    radius, spacing = flow.state.scene.radius, flow.state.layout.spacing
+    grain, viscosity = flow.state.grains.group >= 0, flow.fields.viscosity.numpy()
+    assert np.ptp(viscosity) < 1e-9 * viscosity[0]
+    inside = radius - np.abs(flow.particles.position.numpy()[:, 0]) - np.where(grain, 0.5 * spacing, 0.0)
+    near = np.clip(inside, 1e-3 * spacing, radius)
+    assert (near[grain] < 1.1 * spacing).sum() > 5 and (near[~grain] < 0.6 * spacing).sum() > 5
+    expected = near * (1 - 0.5 * near / radius) / viscosity
+    assert flow.fields.compliance.numpy() == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_nothing_is_free_under_a_hole_in_the_inside(device, dimensions):
     """However wide: fluid stands on its other side."""

@@ -9,6 +9,7 @@ import pytest
 from test_part_elements import SMALL
 
 from warpcrete import Simulation, scenes
+from warpcrete.dem.clumps import clump
 from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.scene import Bodies, Scene, Stations
 from warpcrete.dem.stations import (
@@ -83,7 +84,7 @@ def along(stations, simulation):
 
 
 def test_stress_of_two_bodies_that_touch(device):
-    """Half of force times branch each, in whichever direction they lie; a wall's push goes to one body whole."""
+    """Half of force times branch each, in whichever direction they lie."""
     contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)
     way, reach = np.array([2.0, -1.0, 2.0]) / 3, 0.019
     scene = Scene(
@@ -101,6 +102,31 @@ def test_stress_of_two_bodies_that_touch(device):
     assert found == pytest.approx(np.array([expected, expected]) / 2, rel=1e-9)
     again = FINEST * 8 * unit * body_stresses(simulation.model, simulation.state, 8 * unit).numpy()
     assert again == pytest.approx(found, rel=1e-9)
+
+
+def test_stress_of_a_clump_on_a_wall(device):
+    """Push times branch, which goes from the clump's middle to where it touches: by way of the sphere's own."""
+    contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)
+    shape = clump("pair", np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]]), np.array([0.6, 0.5]))
+    lean = [0.0, 0.0, math.sin(math.radians(25)), math.cos(math.radians(25))]  # 50 degrees about z
+    scene = Scene(
+        name="leans", duration=1.0, gravity=(0, 0, 0), contact=contact,
+        bodies=(Bodies(positions=[[0.5, 0.038, 0.0]], sizes=0.02, template=shape, orientations=[lean]),),
+        walls=(PipeWall(name="pipe", axis=Axis((0, 0, 0), (1, 0, 0), (Line(1.0),)), radius=0.05),),
+    )  # fmt: skip
+    simulation: Any = Simulation(scene, device=device, precision="float64")
+    simulation.prepare()
+    unit = 1e5 * 0.02**3
+    found = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    spheres, middle = simulation.state.spheres.position.numpy(), simulation.state.bodies.position.numpy()[0]
+    overlaps = spheres[:, 1] + spheres[:, 3] - 0.05
+    (touching,) = np.flatnonzero(overlaps > 0)
+    place, radius, overlap = spheres[touching, :3], spheres[touching, 3], overlaps[touching]
+    branch = place + [0, radius - overlap, 0] - middle
+    push = 1e5 * math.pi * radius * overlap  # of Zhan's spring on a wall, E pi r times the overlap
+    assert abs(branch[0]) > 0.2 * abs(branch[1]) and 0 < overlap < 0.3 * radius
+    expected = np.array([[0, push * branch[1], 0, push * branch[0] / 2, 0, 0]])
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * push * branch[1])
 
 
 def test_velocity_profile_goes_by_rings(device):

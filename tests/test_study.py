@@ -4,6 +4,7 @@ import importlib
 import json
 import shutil
 
+import click
 import numpy as np
 import pytest
 from pumping import command
@@ -11,6 +12,7 @@ from test_batch import SMALL
 
 import warpcrete
 from warpcrete import scenes
+from warpcrete.cli.study import parameter_values
 from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
@@ -103,6 +105,19 @@ def test_bad_studies_write_nothing(tmp_path):
     with pytest.raises(RunFolderError, match="holds no study"):
         resume_study(out, pipe_module)
     shutil.rmtree(out)
+
+
+def test_words_for_flags():
+    words = {"true": True, "yes": True, "1": True, "True": True, "false": False, "no": False, "0": False, "NO": False}
+    found = parameter_values(pipe_module, {"bonds": list(words)})["bonds"]
+    assert found == list(words.values()) and all(isinstance(value, bool) for value in found)
+    for options, expected in (({"bonds": []}, [True]), ({"no-bonds": []}, [False])):
+        assert parameter_values(pipe_module, options) == {"bonds": expected}
+    for wrong in ("2", "", "on", "-1"):
+        with pytest.raises(click.UsageError, match="must be true or false"):
+            parameter_values(pipe_module, {"bonds": ["1", wrong]})
+    with pytest.raises(click.UsageError, match="--no-bonds: takes no value"):
+        parameter_values(pipe_module, {"no-bonds": ["1"]})
 
 
 @pytest.mark.thorough

@@ -96,15 +96,31 @@ def test_a_pumping_run_in_rounds_is_that_of_single_steps(plain):
     )
 
 
+def unequal_chain(shape, loose) -> Bodies:
+    """Four touching bodies of different sizes in a row that turns, or two more that fly at it."""
+    sizes, reach, template = np.array([0.02, 0.014, 0.018, 0.012]), np.array([0.5, 0.5]), None
+    if shape == "clumps":
+        template = clumps.clump("pair", np.array([[-0.5, 0.0, 0.0], [0.6, 0.0, 0.0]]), np.array([0.6, 0.5]))
+        reach = np.abs(template.offsets[:, 0]) + template.radii
+    ends = np.cumsum(reach.sum() * sizes - 1e-5)
+    positions = np.outer(ends - reach[1] * sizes - 0.5 * ends[-1], [1.0, 0.0, 0.0])
+    velocities = np.array([[0, 0.3, 0.1], [0, 0, 0], [0, 0, 0], [0, -0.5, 0.2]])
+    if loose:
+        sizes = np.append(sizes, [0.016, 0.015])
+        positions = np.concatenate([positions, [[0.012, 0.021, 0.001], [-0.015, -0.021, 0.0]]])
+        velocities = np.concatenate([0 * velocities, [[0.1, -1.0, 0.0], [0.0, 0.8, 0.2]]])
+    return Bodies(positions=positions, sizes=sizes, density=DENSITY, velocities=velocities, template=template)
+
+
+@pytest.mark.parametrize("loose", [False, True], ids=["bonded", "hit"])
+@pytest.mark.parametrize("shape", ["spheres", "clumps"])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_momentum_is_kept(device, precision):
-    """A chain turns, vibrates, and meets loose spheres, with friction and dashpots."""
-    positions = np.concatenate([rod(4, gap=-1e-5), [[0.012, 0.0185, 0.001], [-0.03, -0.0185, 0.0]]])
-    velocities = np.zeros((6, 3))
-    velocities[4:] = [[0.1, -1.0, 0.0], [0.0, 0.8, 0.2]]
-    scene = scene_of(positions, contact=Contact(friction=0.3), velocities=velocities, modulus=1e8)
+def test_momentum_is_kept(device, precision, shape, loose):
+    """A chain of unequal bodies turns and vibrates, or meets loose ones, with friction and dashpots."""
+    scene = scene_of([[0.0, 0.0, 0.0]], contact=Contact(friction=0.3), modulus=1e8)
+    scene = dataclasses.replace(scene, bodies=(unequal_chain(shape, loose),))
     stepper = bonded(scene, device, precision)
-    assert stepper.batch.subcycles.pair_count >= 3
+    assert stepper.batch.subcycles.pair_count == 3
 
     def momenta():
         m, v, x = (by_id(stepper.state, name).astype(float) for name in ("mass", "velocity", "position"))
@@ -114,11 +130,13 @@ def test_momentum_is_kept(device, precision):
     before, turning = momenta()
     stepper.take(1500)
     after, turned = momenta()
-    scale = MASS * 1.0
-    assert np.abs(by_id(stepper.state, "velocity")[1:3]).max() > 0.05  # the chain was hit
+    assert np.abs(by_id(stepper.state, "velocity")[1:3]).max() > 0.05  # the chain was hit, or drawn along
     # Velocities of bodies in rounds and of others stand at the same half step.
-    assert np.abs(after - before).max() < scale * (1e-13 if precision == "float64" else 1e-5)
-    assert np.abs(turned - turning).max() < scale * 0.03 * (1e-13 if precision == "float64" else 1e-5)
+    rounding = MASS * 1.0 * (2e-14 if precision == "float64" else 1e-5)
+    assert np.abs(after - before).max() < rounding
+    # A loose body's contact is seen where the chain will be if nothing stops it: right to second order in the step,
+    # measured 2.3e-6.
+    assert np.abs(turned - turning).max() < 0.03 * (rounding + (5e-6 * MASS if loose else 0.0))
 
 
 def test_a_drawn_chain_carries_the_load(device):

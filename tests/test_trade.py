@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.advice import advise, compact
+from warpcrete.studies.fronts import Error
 from warpcrete.studies.points import COMBINED, GIVEN, REFERENCE, Point
 from warpcrete.studies.trade import resume_trade, run_trade
 from warpcrete.studies.trading import Trade
@@ -51,6 +53,24 @@ def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
     assert half.parameters["length"] == 0.5
     assert half.values("plateau_pressure", [0]) == [1e3 + 2 * 10e3]  # the plug's 1 kPa stays what it is
     assert not any(k.name == "length" for k in pipe.trading.knobs(pipe.scene.parameters(unit="D")))
+
+
+def test_a_promise_is_tried_with_seeds_that_no_other_run_had(monkeypatch):
+    """As many as are said, beyond all those by which the setting was chosen, from whichever seed a trade begins."""
+    from warpcrete.studies import trade as phases
+
+    monkeypatch.setattr(phases, "_carried", lambda *_: ({}, 0.0))
+    ran: list[int] = []
+    point = Point("x", {}, {})
+    trade = SimpleNamespace(
+        exact=False, has_seeds=True, seeds=[7, 8, 9], chosen_knobs=(), measured=[point], promises=[],
+        promised=lambda point: 0.0, run=lambda point, seeds, tell: ran.extend(seeds) or True,
+        errors_of=lambda point, seeds: [Error("pressure", 0.01, 0.0)] if list(seeds) == ran[:3] else [],
+    )  # fmt: skip
+    phases._promise(trade, lambda *_: None)  # type: ignore
+    assert len(trade.promises) == len(phases.TARGETS) > 0
+    assert all(p.point is point and p.found == Error("pressure", 0.01, 0.0) for p in trade.promises)
+    assert phases.FRESH == 3 and len(set(ran[:3])) == 3 and not set(ran) & set(trade.seeds)
 
 
 @pytest.mark.parametrize("name", sorted(modules()))
@@ -162,7 +182,7 @@ def test_a_trade_of_elements_goes_by_the_finest_setting_and_its_seeds(element_tr
     assert coarse.work < 0.5 * trade.given.work
     # Promises are tried with seeds that no other run had.
     tried = [promise for promise in trade.promises if promise.found is not None]
-    assert all({2, 3, 4} <= set(promise.point.results) for promise in tried)
+    assert tried and all({2, 3, 4} <= set(promise.point.results) for promise in tried)
 
 
 def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):

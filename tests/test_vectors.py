@@ -121,7 +121,7 @@ def test_rows_longer_than_lanes_have_the_same_bits_in_a_batch(device, precision)
     together = [Simulation(scene, device=device, precision=precision, threads=1) for scene in some]
     batched = run_batch(together)
     assert max(np.diff(together[1].stepper.state.pairs.start.numpy())) > 31  # a block
-    for one, other, simulation, apart in zip(alone, batched, together, alone_ones):
+    for one, other, simulation, apart in zip(alone, batched, together, alone_ones, strict=True):
         assert one.result["state_hash"] == other.result["state_hash"] and one.result["steps"] == other.result["steps"]
         lost, wanted = (s.stepper.state.spheres.dissipated_energy.numpy() for s in (simulation, apart))
         assert np.array_equal(lost, wanted)

@@ -280,7 +280,7 @@ def test_a_recording_has_one_scale_of_wear_for_all_frames(painted):
         colours = np.array(textures[-1], np.uint8).reshape(-1, 3)
         (places,) = [v for name, v in columns(folder / "run.rrd", path).items() if "texcoords" in name]
         assert len(places) == len(depths) > 5
-        for depth, place in zip(depths, places):
+        for depth, place in zip(depths, places, strict=True):
             texel = (np.array(place)[:, 0] * len(colours)).astype(int)
             expected, off = on_scale(depth, upper)
             assert np.abs(colours[texel] - expected).max() <= off

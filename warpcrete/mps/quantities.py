@@ -57,7 +57,8 @@ def expected(scene: FluidScene) -> dict[str, float]:
     return {name: float(getattr(theory, name)) for name in UNITS}
 
 
-def _largest(values: np.ndarray) -> float:
+def largest(values: np.ndarray) -> float:
+    """Return the value of largest magnitude, with its sign; NaN if any value is."""
     return float(values[np.argmax(np.abs(values))])
 
 
@@ -100,7 +101,7 @@ QUANTITIES = (
     Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure)),
     Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
              lambda run: f"rms {100 * run.result['profile_error']:.2f} % of the mean velocity off theory", True),
-    Quantity("volume_error", "1", lambda k: _largest(k.series["volume_error"])),
+    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
     Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error")),
 )  # fmt: skip
 

@@ -14,6 +14,7 @@ from ...core.units import number
 from ...geometry.sections import section_area
 from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 from ..grid.geometry import polygon_distance, wall_distance
+from ..quantities import largest
 from .scene import FreeScene, Points
 
 T500 = 0.5
@@ -179,7 +180,7 @@ QUANTITIES = (
     Quantity("t200", "s", lambda k: k.when("front", 0.2) if k.is_box else None, "T200", None, True),
     Quantity("t400", "s", lambda k: k.when("front", 0.4) if k.is_box else None, "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: k.last("fastest")),
-    Quantity("volume_error", "1", lambda k: float(max(k.series["volume_error"], key=abs))),
+    Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
 )  # fmt: skip
 
 

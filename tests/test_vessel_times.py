@@ -1,0 +1,32 @@
+"""Times that standard tests are judged by, interpolated between the rows of a made-up series."""
+
+import numpy as np
+import pytest
+from made_runs import ROWS, RUNS
+
+TIMES = {
+    "slump": {"t500": ("spread", 0.5, 0.2, 0.6)},
+    "funnel": {"funnel_time": ("screen", 0.5, 1.0, 0.1)},
+    "lbox": {"t200": ("front", 0.2, 0.0, 0.5), "t400": ("front", 0.4, 0.0, 0.5)},
+}
+"""By test and quantity: the column, the value that it must pass, and its values at the start and the end."""
+
+
+@pytest.mark.parametrize("method", ["", "-dem"], ids=["flow", "elements"])
+@pytest.mark.parametrize(("test", "quantity"), [(test, name) for test, found in TIMES.items() for name in found])
+def test_times_lie_between_rows(test, quantity, method):
+    """A column that changes evenly passes a value when a straight line does; a bend between other rows is nothing."""
+    column, value, begin, end = TIMES[test][quantity]
+    made = RUNS[test + method]()
+    time = made.series["time"] = np.linspace(0, 1, ROWS) ** 2 * 3.7  # rows need not be evenly apart
+    made.series[column] = begin + (end - begin) * time / time[-1]
+    exact = time[-1] * (value - begin) / (end - begin)
+    assert np.abs(time - exact).min() > 0.01  # no row lies there
+    assert made.run()[quantity] == pytest.approx(exact, rel=1e-12)
+    made.series[column] = np.where(time > exact, end, begin + (end - begin) * time / time[-1])
+    later = time[time > exact][0]
+    before = time[time < exact][-1]
+    reached = made.series[column][time == before][0]
+    assert made.run()[quantity] == pytest.approx(before + (later - before) * (value - reached) / (end - reached))
+    made.series[column][:] = begin
+    assert quantity not in made.run().result
