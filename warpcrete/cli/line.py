@@ -11,9 +11,9 @@ import click
 from ..core.amounts import amount
 from ..core.errors import positive
 from ..core.files import next_folder, whole_file
+from ..core.fingerprints import fingerprint
 from ..core.limits import check_limit, check_velocity, check_whole
 from ..core.progress import ProgressBar
-from ..core.provenance import fingerprint
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import refuse
+from ..core.text_files import check_file
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .inner_surface import AROUND, InnerSurface, equal_radii
@@ -94,10 +95,8 @@ def bore_of(
         SceneError: The file cannot be read, or its mesh has gaps, does not begin at its origin, is blocked, opens to
             the side, has another length, or ends that are not round and of these diameters.
     """
-    if not file.is_file():
-        refuse(fields[0], str(file), "is no file", "give the path of an STL, OBJ, PLY ... file")
-    held = file.read_bytes()
-    digest = hashlib.sha256(held + repr(scale).encode()).hexdigest()[:12]
+    check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
+    digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
     # The unit is checked first: the bore of a mesh in another unit has no end within reach.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)

@@ -22,7 +22,7 @@ def join(parts: Sequence[Path], path: Path) -> None:
     parts = [part for part in parts if part.is_file()]
     partial = partial_of(path)
     command = [rerun_tool(), "rrd", "merge", "--continue-on-error", *map(str, parts), "-o", str(partial)]
-    done = subprocess.run(tied(command), capture_output=True, text=True)
+    done = subprocess.run(tied(command), capture_output=True, text=True, encoding="utf-8", errors="replace")
     if done.returncode != 0 or not partial.is_file():
         partial.unlink(missing_ok=True)
         number = re.search(r"os error (\d+)", done.stderr)
