@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 import warnings
 
 import pytest
@@ -26,13 +25,10 @@ FIELDS = {name: declared_fields(module.scene.parameters) for name, module in mod
 IMPOSSIBLE = (1e-300, -1e-300, 1e300, -1e300, 5e-324, 2e-310, -2e-310, 10**30, -(10**30), 10**400, float("nan"),
               float("inf"), -float("inf"), 1e-30, 1e30)  # fmt: skip
 """Numbers that no parameter can have: as large, as small or as many digits as can be, and none."""
-NEAR_ZERO = {"tolerance"}
-"""Parameters of which a number near 0 is meant as such."""
 
 
 def refused(make, *names):
     """Return the message with which something is refused: one line, naming one of the `names`, without a warning."""
-    begun = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", PlausibilityWarning)
@@ -41,7 +37,6 @@ def refused(make, *names):
     text = str(caught.value)
     assert text.isprintable() and len(text) < 1200
     assert not names or text.partition(" = ")[0] in names, text
-    assert time.perf_counter() - begun < 20  # no long silence, on however busy a machine
     return text
 
 
