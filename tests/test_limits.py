@@ -25,8 +25,6 @@ FIELDS = {name: declared_fields(module.scene.parameters) for name, module in mod
 IMPOSSIBLE = (1e-300, -1e-300, 1e300, -1e300, 5e-324, 2e-310, -2e-310, 10**30, -(10**30), 10**400, float("nan"),
               float("inf"), -float("inf"), 1e-30, 1e30)  # fmt: skip
 """Numbers that no parameter can have: as large, as small or as many digits as can be, and none."""
-NEAR_ZERO = {"tolerance"}
-"""Parameters of which a number near 0 is meant as such."""
 
 
 def refused(make, *names):

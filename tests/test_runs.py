@@ -58,7 +58,8 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     assert warpcrete.load(cut).series == {}
     for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
         (cut / "series.csv").write_bytes(text)
-        with pytest.raises(RunFolderError, match=r"series\.csv': is no series of a run"):
+        says = r"series\.csv': (is no series of a run|cannot be read .line 2: is no UTF-8 text)"
+        with pytest.raises(RunFolderError, match=says):
             warpcrete.load(cut)
 
 

@@ -104,7 +104,7 @@ def saved_text(path: Path) -> str:
     try:
         return _text(path, MOST_TEXT)
     except Unreadable as error:
-        raise RunFolderError(f"'{path}': {error.reason}") from error
+        raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
 
 
 def saved_json(path: Path) -> dict[str, Any]:
