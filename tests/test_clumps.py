@@ -67,6 +67,17 @@ def test_mesh_is_covered_with_the_wanted_number_of_spheres(spheres, tolerance):
     assert agreement["inertia_error"] < tolerance  # measured 0.07 and 0.03
 
 
+@pytest.mark.parametrize("inwards", [True, False])
+def test_a_hollow_stone_is_the_stone(inwards):
+    box, cavity = trimesh.creation.box((0.03, 0.02, 0.015)), trimesh.creation.box((0.028, 0.018, 0.013))
+    if inwards:
+        cavity.invert()
+    hollow = trimesh.util.concatenate([box, cavity])
+    whole, shell = clumps.from_mesh(box, 8), clumps.from_mesh(hollow, 8)
+    assert np.array_equal(shell.offsets, whole.offsets) and np.array_equal(shell.radii, whole.radii)
+    assert clumps.mesh_agreement(shell, hollow) == clumps.mesh_agreement(whole, box)
+
+
 def test_open_mesh_is_refused():
     box = trimesh.creation.box()
     box.update_faces(np.arange(len(box.faces)) > 0)

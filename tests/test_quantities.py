@@ -77,6 +77,33 @@ def test_no_plateau_before_the_piston_moves_steadily_or_while_the_pressure_chang
         assert "still changes by more than 10 %" in lines["plateau pressure"]
 
 
+def wave(way, size, period=0.05):
+    return size * np.sin(2 * np.pi * way / period)
+
+
+@pytest.mark.parametrize(
+    ("shape", "plateau"),
+    [
+        # Falls, then rises through the window, whose mean is nearly that before it: a pipe that is about to block.
+        (lambda way: np.interp(way, [0, 0.6, 0.8, 1], [4.75, 4.0, 2.65, 3.6]), False),
+        (lambda way: np.interp(way, [0, 0.6, 0.8, 1], [1.0, 2.4, 3.7, 2.65]), False),  # the other way round
+        (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 3.0, 3.25]), True),  # rises by 8 % at the end
+        (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 3.0, 3.4]), False),  # by 13 %
+        (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 3.0, 2.6]), False),
+        (lambda way: np.interp(way, [0, 0.6, 0.601, 1], [3.5, 3.5, 3.0, 3.0]), True),  # a step before both parts
+        (lambda way: np.interp(way, [0, 0.8, 0.801, 1], [3.5, 3.5, 3.0, 3.0]), False),  # and between them
+        (lambda way: np.interp(way, [0, 0.8, 0.801, 1], [3.0, 3.0, 3.5, 3.5]), False),
+        (lambda way: 3.0 + wave(way, 0.6), True),  # a wave, four times in the window
+        (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 2.8, 3.2]) + wave(way, 0.6), True),  # a trend within its scatter
+        (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 2.6, 3.4]) + wave(way, 0.1), False),  # and beyond it
+    ],
+)  # fmt: skip
+def test_a_plateau_neither_rises_nor_falls(shape, plateau):
+    way = np.linspace(0, 1.0, 401)
+    found = results(known_of(way, 1e3 * shape(way)))
+    assert ("plateau_pressure" in found) == plateau and "end_pressure" in found
+
+
 def test_momentum_balance_of_a_made_up_series():
     """Gravity and the floor in balance; then a floor that takes 1 % less than it must; then nothing to judge by."""
     time = np.linspace(0, 2, 21)

@@ -1,6 +1,7 @@
 """Wear of walls: works of sliding and impacts against closed forms, the books of energy, patches, checkpoints."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
 from warpcrete.dem.scene import Bodies, Scene, TimeStep, Wear
-from warpcrete.dem.wear import PipePatches
+from warpcrete.dem.wear import PipePatches, WornWall, patches_of
 from warpcrete.dem.worn import covered
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
@@ -324,3 +325,24 @@ def test_wear_is_refused_with_nonsense():
         scenes.pipe(wear=True, wear_coefficient=-1)
     with pytest.raises(SceneError, match=r"^wear patch = 0"):
         Wear(patch=0)
+
+
+def test_wear_of_a_thick_wall_is_that_of_its_inside():
+    """A tube of facets with an outer skin, each facet twice: what is worn, and what means go by, faces the axis."""
+    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.3),))
+    (inner, faces), (outer, _) = axis.tube(0.05, 24), axis.tube(0.0505, 24)
+    both = np.concatenate([faces, faces + len(inner), faces[:, ::-1]])
+    single = patches_of(MeshWall(name="pipe", vertices=inner, faces=faces), None)
+    thick = patches_of(MeshWall(name="pipe", vertices=np.concatenate([inner, outer]), faces=both), None)
+    points = inner[faces].mean(1)
+    assert np.array_equal(single.of(points), np.arange(len(faces)))
+    assert np.array_equal(thick.of(points), np.arange(len(faces)))
+    seen = thick.seen_from(axis)
+    assert np.array_equal(np.flatnonzero(seen), np.flatnonzero(single.seen_from(axis)))
+    scene = SimpleNamespace(pipe=SimpleNamespace(axis=axis))
+    depths = []
+    for patches in (single, thick):
+        wall = WornWall("pipe", patches, np.zeros((len(patches.areas), 3)), 1e-12)
+        wall.done[: len(faces), 2] = 3.0
+        depths.append(wall.mean_depth(covered(wall, scene)))
+    assert depths[1] == pytest.approx(depths[0], rel=1e-12)

@@ -7,8 +7,8 @@ on the velocity of half a step ago can stand against fixed neighbours, so that n
 opposition. For one contact it is PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta); for many it counts the dashpots
 together, which that formula does not.
 
-An automatic step also resolves impacts that lose little, so that they do not gain, and no two spheres, nor a sphere and
-a wall, can go further towards one another in it than the sphere's radius.
+An automatic step also resolves impacts that lose little, so that they do not gain, and no sphere goes
+further in it than LEAP of its radius.
 """
 
 import functools
@@ -29,6 +29,8 @@ from .subcycling import PART, RELAXATION
 
 DEFAULT_SAFETY = 0.8
 """Part of the stable step that a scene takes unless it says otherwise."""
+LEAP = 0.4
+"""Part of its radius that a sphere may go in an automatic step; two that approach one another go twice as far."""
 LONGEST = 1.0e30
 """Step that nothing bounds [s]."""
 
@@ -71,6 +73,7 @@ def begin_kernel(scalar):
             return
         for part in range(estimate.smallest.shape[0]):
             estimate.smallest[part, s] = wp.float64(wp.static(LONGEST))
+            estimate.finest[part, s] = wp.float64(wp.static(LONGEST))
             estimate.fastest[part, s] = scenes.row[s].foreseen_speed
             for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
                 estimate.wall_load[part, w, 0] = wp.int64(0)
@@ -81,7 +84,7 @@ def begin_kernel(scalar):
 
 @functools.cache
 def noting_functions(scalar):
-    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear; `fastest` and `smallest`:
+    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear; `fastest` and `least`:
     what all parts found."""
     t = types(scalar)
     Estimate = estimate_struct(scalar)
@@ -106,13 +109,13 @@ def noting_functions(scalar):
         return found
 
     @wp.func
-    def smallest(estimate: Estimate, s: wp.int32):
-        found = estimate.smallest[0, s]
-        for part in range(1, estimate.smallest.shape[0]):
-            found = wp.min(found, estimate.smallest[part, s])
+    def least(parts: wp.array2d(dtype=wp.float64), s: wp.int32):
+        found = parts[0, s]
+        for part in range(1, parts.shape[0]):
+            found = wp.min(found, parts[part, s])
         return found
 
-    return SimpleNamespace(hurry=hurry, load_wall=load_wall, fastest=fastest, smallest=smallest)
+    return SimpleNamespace(hurry=hurry, load_wall=load_wall, fastest=fastest, least=least)
 
 
 @functools.cache
@@ -125,7 +128,7 @@ def floor_function(scalar, pair_law, wall_law):
 
     @wp.func
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
-        """Stiffness for which the default step keeps the energy of an impact to 1 % and a quarter of what it loses.
+        """Stiffness k for which a step sqrt(m / k) keeps an impact's energy to 1 % and a quarter of what it loses.
 
         A spring of stiffness `onset` begins and ends within a step: at angular frequency w that is worth up to
         (w dt)^2 / 4 of the energy. The bend of a law that stiffens from nothing is worth less than a third of that.
@@ -134,7 +137,7 @@ def floor_function(scalar, pair_law, wall_law):
         if stiffest <= scalar(0.0):
             return scalar(0.0)
         lost = scalar(1.0) - wp.exp(-scalar(wp.static(math.pi)) * k[2] / wp.sqrt(mass * wp.max(onset, k[0])))
-        return stiffest * scalar(wp.static(0.25 * DEFAULT_SAFETY**2)) / (scalar(0.01) + scalar(0.25) * lost)
+        return scalar(0.25) * stiffest / (scalar(0.01) + scalar(0.25) * lost)
 
     @wp.func
     def floor_of(
@@ -226,8 +229,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         c_turn = vec6()
         k_floor = scalar(0.0)
         c_floor = scalar(0.0)
+        k_resolved = scalar(0.0)
         leap = scalar(wp.static(LONGEST))
-        automatic = scenes.row[s].fixed_step == wp.float64(0.0)
         for place in range(base + bodies.first[b + s], base + bodies.first[b + s + 1]):
             k_sum += estimate.sums[place, 0]
             c_sum += estimate.sums[place, 1]
@@ -240,16 +243,16 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
             # Shear turns it about its long axis with the sphere's radius as lever, across it with the whole arm.
             position = read_vec4(spheres.position, place)
             radius = position[3]
-            speed = wp.length(xyz(read_vec4(spheres.velocity, place))) + top
+            own = wp.length(xyz(read_vec4(spheres.velocity, place)))
+            speed = own + top
             lever = radius + wp.length(xyz(position) - read_vec3(bodies.position, b))
             turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
             row = scenes.row[s].laws + spheres.material[place] * materials
             tip = scalar(1.0) + mass * (lever - radius) * (lever - radius) / stout
             k, c, k_smooth = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn, tip)
             k_floor = wp.max(k_floor, k)
-            if automatic:
-                k_floor = wp.max(k_floor, k_smooth)
-                leap = wp.min(leap, radius / wp.max(speed, scalar(wp.static(1.0 / LONGEST))))
+            k_resolved = wp.max(k_resolved, k_smooth)
+            leap = wp.min(leap, scalar(wp.static(LEAP)) * radius / wp.max(own, scalar(wp.static(1.0 / LONGEST))))
             c_floor = wp.max(c_floor, c)
         if stiff:
             k_floor = scalar(0.0)
@@ -261,7 +264,11 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         k_spin = row_sum(wp.transpose(axes) * full(k_turn) * axes, inertia)
         if k_spin > scalar(0.0):
             step = wp.min(step, stable(k_spin, row_sum(wp.transpose(axes) * full(c_turn) * axes, inertia)))
-        step = wp.min(step, leap)
+        fine = leap
+        if k_resolved > scalar(0.0):
+            fine = wp.min(fine, wp.sqrt(mass / k_resolved))
+        if not stiff and wp.float64(fine) < estimate.finest[part, s]:
+            wp.atomic_min(estimate.finest, part, s, wp.float64(fine))
         if wp.float64(step) < estimate.smallest[part, s]:
             wp.atomic_min(estimate.smallest, part, s, wp.float64(step))
         elif not (step >= scalar(0.0)):
@@ -274,14 +281,14 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 def keep_kernel(scalar):
     """Kernel over scenes: what has been found holds for the pairs that are stepped in rounds."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
-    smallest = noting_functions(scalar).smallest
+    least = noting_functions(scalar).least
 
     @wp.kernel(module="unique", enable_backward=False)
     def keep_stable(due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled):
         s = wp.tid()
         if due[s] == 0:
             return
-        subcycled.stable[s] = smallest(estimate, s)
+        subcycled.stable[s] = least(estimate.smallest, s)
 
     return keep_stable
 
@@ -296,7 +303,7 @@ def settle_kernel(scalar, subcycling: bool):
     Scenes, Walls = structs.Scenes, structs.Walls
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     arrived = arrived_function(scalar)
-    smallest = noting_functions(scalar).smallest
+    least = noting_functions(scalar).least
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
@@ -314,7 +321,7 @@ def settle_kernel(scalar, subcycling: bool):
         if due[s] == 0:
             return
         one = wp.float64(1.0)
-        step = smallest(estimate, s)
+        step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
                 # Dashpots of stiff bonds go with stiffness and step.
@@ -342,7 +349,9 @@ def settle_kernel(scalar, subcycling: bool):
             scenes.clock[s, DT] = scenes.row[s].fixed_step
             usable = usable and scenes.row[s].fixed_step <= step * wp.max(one, scenes.row[s].safety)
         else:
-            scenes.clock[s, DT] = wp.min(scenes.row[s].safety * step, scenes.row[s].largest_step)
+            bold = wp.max(one, scenes.row[s].safety / wp.float64(wp.static(DEFAULT_SAFETY)))
+            fine = bold * least(estimate.finest, s)
+            scenes.clock[s, DT] = wp.min(wp.min(scenes.row[s].safety * step, fine), scenes.row[s].largest_step)
         if by_device and usable:
             flags[s, ESTIMATED] = flags[s, STEPS]
             if not arrived(flags, scenes, s):

@@ -25,6 +25,7 @@ def estimate_struct(scalar):
         sums: wp.array2d(dtype=vec6)  # of each sphere, shape (spheres, 4); zero between two estimates
         wall_load: wp.array3d(dtype=wp.int64)  # stiffness [mN/m], damping [mN s/m] of walls, shape (parts, walls, 2)
         smallest: wp.array2d(dtype=wp.float64)  # step of any body of a scene [s], shape (parts, scenes)
+        finest: wp.array2d(dtype=wp.float64)  # that impacts and speeds of any body ask for [s], (parts, scenes)
         fastest: wp.array2d(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (parts, scenes)
 
     return Estimate

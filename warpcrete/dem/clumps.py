@@ -181,18 +181,20 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
 
     Candidates are interior points of a grid of `resolution` cells along the longest side; the spheres that
     cover most of what is still bare are taken one by one, each tangent to the surface from inside, and all
-    radii then grow together until the union has the mesh's volume.
+    radii then grow together until the union has the mesh's volume. Cavities count as filled: a body meets others with
+    its outside.
 
     Parameters: `mesh`, a ``trimesh.Trimesh`` or a path that trimesh reads; `spheres`, 1 to 500.
     Raises :class:`SceneError` for an open or unreadable mesh.
     """
     from ..geometry.meshes import load_closed, signed_distance
+    from ..geometry.solids import without_cavities
 
     if isinstance(spheres, bool) or not isinstance(spheres, int | np.integer):
         refuse("spheres", spheres, "must be a whole number in [1, 500]")
     between("spheres", spheres, 1, 500)
     between("resolution", resolution, 4, 256)
-    mesh = load_closed(mesh, "clump mesh")
+    mesh = without_cavities(load_closed(mesh, "clump mesh"))
     lower, upper = mesh.bounds
     step = (upper - lower).max() / resolution
     axes = [np.arange(a + step / 2, b, step) for a, b in zip(lower, upper, strict=True)]
@@ -231,8 +233,9 @@ def mesh_agreement(template: ClumpTemplate, mesh) -> dict[str, float]:
     Returns `inertia_error`, the largest relative difference of a principal moment.
     """
     from ..geometry.meshes import load_closed
+    from ..geometry.solids import without_cavities
 
-    mesh = load_closed(mesh, "clump mesh")
+    mesh = without_cavities(load_closed(mesh, "clump mesh"))
     size = (6 * mesh.volume / np.pi) ** (1 / 3)
     moments = np.sort(np.linalg.eigvalsh(mesh.moment_inertia)) / (mesh.volume * size**2)
     return {"inertia_error": float(np.max(np.abs(np.sort(template.inertia) / moments - 1)))}

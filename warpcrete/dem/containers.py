@@ -94,7 +94,10 @@ class PipeContainer:
 
 @dataclass(frozen=True)
 class MeshContainer:
-    """Inside of a closed triangle mesh: a ``trimesh.Trimesh`` or a path that trimesh reads."""
+    """Inside of a closed triangle mesh: a ``trimesh.Trimesh`` or a path that trimesh reads.
+
+    Two skins hold the room between them, as around an obstacle: of a thick vessel give the inner skin alone.
+    """
 
     mesh: object
 

@@ -28,7 +28,11 @@ from .worn import report as report_wear
 WINDOW = 0.2
 """Part of the travel, at its end, over which the pressure at the end is averaged."""
 LEVEL = 0.1
-"""Part by which the mean over that window may differ from that over an equal one before it, on a plateau."""
+"""Part by which the mean over that window may differ from that over an equal one before it, on a plateau, and by which
+a straight line through the window may rise or fall over it."""
+NOISE = 2.0
+"""Standard deviations of the scatter about that line that its rise may amount to: a short window of a noisy pressure
+rises or falls by chance."""
 
 
 @dataclass(frozen=True)
@@ -78,18 +82,15 @@ class Known:
 
     @property
     def on_plateau(self) -> bool:
-        """The piston moved at its final speed all through the window, and the pressure was as high just before it."""
+        """The piston moved at its final speed all through the window, and the pressure neither changes in it nor was
+        another just before it."""
         if not self.pumped:
             return False
         travel, pressure = self.series["travel"], self.series["pressure"]
         if not past_ramp(self.scene, travel[-1]):
             return False
-        begin, gone = self.window_begin, travel[-1] - stroke_begun(self.scene, travel[-1])
-        ahead = (travel >= begin - WINDOW * gone) & (travel < begin)
-        if not ahead.any():
-            return False
-        late = pressure[self.window].mean()
-        return bool(abs(late - pressure[ahead].mean()) <= LEVEL * abs(late))
+        gone = travel[-1] - stroke_begun(self.scene, travel[-1])
+        return is_level(travel, pressure, self.window_begin, WINDOW * gone)
 
     @property
     def restarted(self) -> bool:
@@ -107,6 +108,25 @@ class Known:
         """Pressure in the last pause before the last stroke [Pa]; None where no sample fell into it."""
         found = held(self.scene.pipe, self.series)[-1]
         return found if np.isfinite(found) else None
+
+
+def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
+    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, seen beside the `width` [m] before.
+
+    Both means agree to LEVEL of the later one, and the line of least squares through the later part rises or falls by
+    no more than that, or than NOISE times the scatter about it.
+    """
+    late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
+    if not ahead.any() or np.count_nonzero(late) < 2:
+        return False
+    mean = float(pressure[late].mean())
+    x = travel[late] - travel[late].mean()
+    slope = float(x @ pressure[late]) / max(float(x @ x), 1e-300)
+    scatter = float(np.std(pressure[late] - mean - slope * x))
+    change = abs(slope) * float(np.ptp(x))
+    return abs(mean - float(pressure[ahead].mean())) <= LEVEL * abs(mean) and change <= max(
+        LEVEL * abs(mean), NOISE * scatter
+    )
 
 
 def stroke_begun(scene: Scene, travel: float) -> float:
@@ -200,7 +220,9 @@ def no_plateau(run: Run) -> str:
     travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
     if past_ramp(run.scene, travel):
         change = f"{100 * LEVEL:.0f} %"
-        return f"none: the pressure still changes by more than {change} from one fifth of the travel to the next"
+        return (
+            f"none: the pressure still changes by more than {change} in a fifth of the travel; move the piston further"
+        )
     if past_ramp(run.scene, pipe.travel):
         return "none: the run was cut before the piston had moved steadily for long enough"
     gone = travel - pipe.begun(travel)

@@ -27,7 +27,8 @@ from .scene import Scene
 class StableStep:
     """Estimate of the largest stable step of a scene from masses and live stiffness, bonds included.
 
-    It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`.
+    It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`. An automatic
+    step is also fine enough for impacts that lose little, and for fast bodies.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -41,6 +42,7 @@ class StableStep:
         self._estimate.sums = zeros("sums", (batch.sphere_count, 4))
         self._estimate.wall_load = zeros("wall_load", (batch.threads, batch.wall_count, 2))
         self._estimate.smallest = zeros("smallest", (batch.threads, batch.count))
+        self._estimate.finest = zeros("finest", (batch.threads, batch.count))
         self._estimate.fastest = zeros("fastest", (batch.threads, batch.count))
         self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._asked_before = np.zeros(batch.count, dtype=np.int32)

@@ -14,6 +14,7 @@ from ..geometry.walls import MeshWall
 from ..kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
 from ..kernels.dem.clock import CLOSE
 from ..kernels.dem.probes import TRAVEL
+from ..kernels.dem.stable_step import LEAP
 from ..kernels.dem.structs import DT_PREVIOUS, TIME
 from ..kernels.dem.subcycling import PART
 from ..kernels.dem.wall_motion import SPEED_LIMIT
@@ -75,6 +76,9 @@ class Stepper:
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0
+        fastest = max((wall.top_speed() for wall in model.walls), default=0.0)
+        self._wall_step = LEAP * state.smallest_radius / fastest if fastest and state.sphere_count else math.inf
+        """In which a prescribed wall goes no further than the smallest sphere may [s]."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -231,7 +235,7 @@ class Stepper:
         self.batch.set(
             self.index,
             safety=step.safety,
-            largest_step=step.largest,
+            largest_step=min(step.largest, self._wall_step),
             fixed_step=step.fixed or 0.0,
             foreseen_speed=self._foreseen[1],
         )

@@ -9,12 +9,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from ..geometry.axis import Arc
-from ..geometry.meshes import faces_at
+from ..geometry.axis import Arc, Axis
+from ..geometry.meshes import faces_at, rays
 from ..geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
 from .scene import Wear
 from .state import State
@@ -26,6 +27,8 @@ COLUMNS = ("sliding_work", "impact_loss", "load_way")
 """Of the series and of a patch: work of sliding [J], loss of impacts [J], load times way slid [N m]."""
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
+SEEN = 1e-4
+"""Part of its distance by which a triangle may lie behind what a ray meets, which rounds."""
 
 
 class Patches(ABC):
@@ -121,16 +124,28 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """The triangles of a mesh."""
+    """The triangles of a mesh. Of those that lie on one another the first is worn."""
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
+        vertices, faces, self._origin = wall.surface
+        self._cleaned = SimpleNamespace(vertices=vertices, faces=faces)
         a, b, c = (wall.vertices[wall.faces[:, k]] for k in range(3))
         self.areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         self._reach = 2 * float(np.linalg.norm(np.ptp(wall.vertices, axis=0)))
 
     def of(self, points: np.ndarray) -> np.ndarray:
-        return np.maximum(faces_at(self._wall, points, self._reach), 0)
+        return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
+
+    def seen_from(self, axis: Axis) -> np.ndarray:
+        """Return which triangles face an axis with nothing before them: of a thick wall those inside, shape (f,)."""
+        middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
+        nearest = axis.nearest(middle)
+        apart = np.linalg.norm(middle - nearest, axis=1)
+        met = rays(self._cleaned, nearest, (middle - nearest) / np.maximum(apart, 1e-30)[:, None], 2 * apart.max())
+        seen = np.zeros(len(self.areas), bool)
+        seen[self._origin] = (met < 0) | (met > (1 - SEEN) * apart)
+        return seen
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         faces = np.arange(3 * len(self.areas)).reshape(-1, 3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.method import Quantity
 from ..core.units import number
-from .wear import HOUR, PipePatches, PlanePatch, WornWall
+from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
@@ -38,13 +38,20 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
 
 
 def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
-    """Patches of the stretch of a pipe that aggregates touched; all of other walls."""
+    """Patches of the stretch of a pipe that aggregates touched, on the inside of a mesh; all of other walls."""
     found = places(wall, scene)
     touched = wall.done[:, 2] > 0
     if found is None or not touched.any():
         return slice(None)
     s = found[0]
-    return (s >= s[touched].min()) & (s <= s[touched].max())
+    return (s >= s[touched].min()) & (s <= s[touched].max()) & (inside(wall, scene) | touched)
+
+
+def inside(wall: WornWall, scene: Any) -> np.ndarray:
+    """Which patches of a pipe's wall concrete can touch, shape (patches,): of a mesh those that the axis sees."""
+    if not isinstance(wall.patches, MeshPatches):
+        return np.ones(len(wall.done), bool)
+    return wall.patches.seen_from(scene.pipe.axis)
 
 
 def _mean(wall: WornWall, known: Any, column: int) -> float:
@@ -123,9 +130,10 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     found = places(wall, run.scene) if wall is not None else None
     if wall is None or found is None or not time > 0:
         return None
-    s, angle = found
-    areas = wall.patches.areas
-    hourly = 1e6 * HOUR / time * wall.depth
+    shown = inside(wall, run.scene)
+    s, angle = found[0][shown], found[1][shown]
+    areas = wall.patches.areas[shown]
+    hourly = 1e6 * HOUR / time * wall.depth[shown]
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     if isinstance(wall.patches, PipePatches):

@@ -1,0 +1,52 @@
+"""Bodies that closed meshes stand for: what lies inside their outermost skins."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .meshes import signed_distance
+
+if TYPE_CHECKING:  # half a second to import
+    import trimesh
+
+
+def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a closed mesh without the skins that lie inside others, each remaining one with its normals outward.
+
+    A body of spheres meets others with its outside alone, so that a hollow stone stands for a whole one.
+    """
+    import trimesh
+
+    skins = []
+    for faces in _connected(mesh.faces, len(mesh.vertices)):
+        skin = trimesh.Trimesh(mesh.vertices, mesh.faces[faces], process=False)
+        skin.remove_unreferenced_vertices()
+        if skin.volume < 0:
+            skin.invert()
+        skins.append(skin)
+    if len(skins) == 1:
+        return skins[0]
+    outer = [
+        skin for skin in skins
+        if not any(other is not skin and other.volume > skin.volume
+                   and bool(np.all(signed_distance(other, np.asarray(skin.vertices)) < 0)) for other in skins)
+    ]  # fmt: skip
+    return trimesh.util.concatenate(outer)
+
+
+def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
+    """Return the numbers of the faces of each set that corners in common hold together."""
+    label = np.arange(corners)
+    while True:
+        lowest = label[faces].min(axis=1)
+        after = label.copy()
+        for column in faces.T:
+            np.minimum.at(after, column, lowest)
+        after = after[after]
+        if np.array_equal(after, label):
+            break
+        label = after
+    own = label[faces[:, 0]]
+    return [np.flatnonzero(own == one) for one in np.unique(own)]
