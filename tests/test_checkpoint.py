@@ -280,15 +280,11 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
     results = [json.loads((f / "result.json").read_text()) for f in (whole, folder)]
     assert results[1]["finished"] and results[0]["state_hash"] == results[1]["state_hash"]
     assert (folder / "series.csv").read_bytes() == (whole / "series.csv").read_bytes()
-    assert recorded_frames(folder / "run.rrd").keys() <= recorded_frames(whole / "run.rrd").keys()
-    assert {path.name for path in folder.iterdir()} == {
-        "scene.json",
-        "series.csv",
-        "result.json",
-        "pressure.png",
-        "run.rrd",
-        "scene.usdc",
-    }
+    # A kill between state and recordings costs frames up to that state, nothing else.
+    frames, known = (recorded_frames(each / "run.rrd") for each in (folder, whole))
+    assert len(frames) > 0.5 * len(known) and all(known[key] == values for key, values in frames.items())
+    names = {"scene.json", "series.csv", "result.json", "pressure.png", "run.rrd", "scene.usdc"}
+    assert {path.name for path in folder.iterdir()} == names
     return len(reached)
 
 
