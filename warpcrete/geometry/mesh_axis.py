@@ -217,6 +217,7 @@ def _section(
     normal = normal / np.linalg.norm(normal)
     side = np.cross(tangent, normal)
     angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
+    area = np.zeros(AROUND)
     for _ in range(4):
         ways = np.cos(angle)[:, None] * normal + np.sin(angle)[:, None] * side
         reach = queries.rays(np.broadcast_to(point, ways.shape), ways, FARTHEST * radius)

@@ -33,7 +33,9 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         if not any(other is not skin and other.volume > skin.volume
                    and bool(np.all(signed_distance(other, np.asarray(skin.vertices)) < 0)) for other in skins)
     ]  # fmt: skip
-    return trimesh.util.concatenate(outer)
+    joined = trimesh.util.concatenate(outer)
+    assert isinstance(joined, trimesh.Trimesh)
+    return joined
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
