@@ -13,7 +13,7 @@ from warpcrete.core.parameters import scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.dem.containers import PipeContainer
 from warpcrete.dem.parts import Course, PartElements, course_of, part_knobs, plug_layers
-from warpcrete.dem.pumped import fill_of, law_remarks, plug_of, remark_on_sizes, settings_of, sizes_of
+from warpcrete.dem.pumped import fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE
 from warpcrete.dem.scene import (
     PipeUnit,
@@ -110,7 +110,6 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
     """What is simplified or outside what is pumped."""
     narrow = course.narrowest
     yield from law_remarks(given)
-    yield from remark_on_sizes(given.concrete, given)
     if given.shapes == "spheres":
         yield "aggregates are single spheres; --shapes reference uses the paper's clumps"
     if sizes.largest > WIDEST_STONE * narrow:

@@ -21,7 +21,7 @@ from warpcrete.core.units import number
 from warpcrete.dem.blocked import blocked_words
 from warpcrete.dem.concretes import COVERAGE
 from warpcrete.dem.containers import PipeContainer
-from warpcrete.dem.pumped import Plug, fill_of, law_remarks, plug_of, remark_on_sizes, settings_of, sizes_of
+from warpcrete.dem.pumped import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
 from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
 from warpcrete.dem.scene import (
     PipeUnit,
@@ -251,7 +251,6 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
     own = given.contact is None and given.wall_contact is None
     if own and given.concrete in shipped() and concrete(given.concrete).calibrated:
         yield f"concrete {given.concrete}: calibrated {concrete(given.concrete).calibrated}"
-    yield from remark_on_sizes(given.concrete, given)
     if given.shapes == "spheres":
         yield (
             "aggregates are single spheres, which run several times as fast as the paper's clumps; "

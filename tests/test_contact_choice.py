@@ -187,7 +187,7 @@ def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
     run = CliRunner().invoke
     helped = run(cli, ["run", "pipe", "--contact", "test_laws:Toy", "--help"]).output
     assert "Parameters of contact Toy:" in helped
-    assert re.search(r"--contact-push FLOAT +whatever the overlap \[N\]  \[required\]", helped)
+    assert re.search(r"--contact-push NUMBER +whatever the overlap \[N\]  \[required\]", helped)
     assert "--contact-push" not in run(cli, ["run", "pipe", "--help"]).output
     vessel = run(cli, ["run", "slump-dem", "--contact=hertz-mindlin", "--help"]).output
     assert "--contact-unloading [rescale|hold]" in vessel

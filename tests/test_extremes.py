@@ -80,7 +80,10 @@ def test_speed_limit_names_body_and_speed(device):
 
 def test_an_unstable_step_is_caught_by_its_energy_alone(device):
     # Undamped neighbours at 3 times the estimate: the energy tells before any speed would.
-    scene = extremes.cup(restitution=1.0, dt_fraction=3.0, sample_interval=1e-4)
+    scene = extremes.cup(restitution=1.0, sample_interval=1e-4)
+    simulation = Simulation(scene, device=device)
+    simulation.prepare()
+    scene = dataclasses.replace(scene, time_step=TimeStep(fixed=3 * simulation.stepper.estimate(), safety=10.0))
     watch = Watch(overlap=None, speed=1e9, energy=0.5)
     with pytest.raises(InstabilityError, match="energy grew by"):
         Simulation(dataclasses.replace(scene, watch=watch, duration=0.1), device=device).run()

@@ -214,14 +214,16 @@ def test_a_missing_sieve_curve_is_told(tmp_path):
     path = tmp_path / "mix.yaml"
     path.write_text("mix:\n  density: 2300\n  spread: 600 mm\n", encoding="utf-8")
     assert "the mix has no sieve curve" in CliRunner().invoke(cli, ["mix", str(path)]).output
-    scene = scenes.pipe(concrete=path)
-    assert any("has no sieve curve: its aggregate is taken as gaussian, 5 to 20 mm" in r for r in scene.remarks)
-    assert any("has no sieve curve" in remark for remark in scenes.part_dem(concrete=path).remarks)
-    for more in ({"concrete": "zhan"}, {"concrete": path, "size_max": 0.016}, {"concrete": "xu-no1"}):
-        assert not any("sieve" in remark for remark in scenes.pipe(**more).remarks)
-    repeated = scene.parameters
-    path.unlink()
-    assert scenes.pipe(**repeated).parameters == repeated
+    with pytest.warns(PlausibilityWarning, match="concrete mix has no sieve curve: its aggregate has the default"):
+        repeated = scenes.pipe(concrete=path).parameters
+    with pytest.warns(PlausibilityWarning, match="has no sieve curve"):
+        scenes.part_dem(concrete=path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for more in ({"concrete": "zhan"}, {"concrete": path, "size_max": 0.016}, {"concrete": "xu-no1"}):
+            scenes.pipe(**more)
+        path.unlink()
+        assert scenes.pipe(**repeated).parameters == repeated
 
 
 @pytest.mark.parametrize(

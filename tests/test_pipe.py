@@ -84,7 +84,9 @@ def test_pipe_from_an_stl_file(tmp_path, device):
     thick.apply_scale(1000)
     thick.export(tmp_path / "thick.stl")
     scenes.pipe(wall=str(tmp_path / "thick.stl"), wall_scale=0.001, **SMALL)
-    with pytest.raises(warpcrete.SceneError, match="does not enclose a bore"):
+    with pytest.raises(
+        warpcrete.SceneError, match=r"has gaps along the axis: 15 of 15 sections are open .*0\.001 for mil"
+    ):
         scenes.pipe(wall=str(tmp_path / "thick.stl"), **SMALL)
 
 

@@ -180,6 +180,7 @@ def test_bad_files_and_folders(tmp_path):
     garbage.write_bytes(os.urandom(500))
     taken = tmp_path / "taken"
     taken.mkdir()
+    (taken / "notes.txt").touch()
     before = sorted(tmp_path.iterdir())
     for options, words in (
         (["--wall", hole, "--out", tmp_path / "run"], "has gaps along the axis"),

@@ -20,7 +20,7 @@ from warpcrete.core.origin import arguments_of, changed_fields
 from warpcrete.record.loading import repeatable_scene
 from warpcrete.record.run_folder import TableRecorder, scene_record
 from warpcrete.studies import study as studies
-from warpcrete.studies.line_run import known_folder
+from warpcrete.studies.line_folder import known_run
 
 QUICK = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 EVERY = sorted(scenes.modules())
@@ -177,8 +177,8 @@ def test_a_study_does_not_go_on_with_a_file_that_changed(tmp_path, monkeypatch):
 def test_a_line_takes_no_run_of_a_changed_scene_for_its_own(tmp_path):
     made = scenes.channel(**QUICK)
     for name, scene in (("made", made), ("changed", dataclasses.replace(made, velocity=0.1))):
-        folder = tmp_path / name
-        folder.mkdir()
-        saved(scene, folder / "run")
-        write_json(folder / "run" / "result.json", {"finished": True})
-        assert (known_folder(folder, made) is not None) == (name == "made")
+        parts = tmp_path / name / "parts"
+        parts.mkdir(parents=True)
+        saved(scene, parts / "run")
+        write_json(parts / "run" / "result.json", {"finished": True})
+        assert (known_run([tmp_path / name], made) is not None) == (name == "made")

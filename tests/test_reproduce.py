@@ -154,7 +154,7 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
 def test_an_unknown_paper_is_refused(tmp_path):
     with pytest.raises(SceneError, match="paper = 'smith': must be one of zhan, xu"):
         reproduce("smith", out=tmp_path / "out")
-    with pytest.raises(SceneError, match="seeds = 0: must be 1 or more"):
+    with pytest.raises(SceneError, match="seeds = 0: must be 1 to 10000"):
         reproduce("xu", out=tmp_path / "out", seeds=0)
     assert not (tmp_path / "out").exists()
 

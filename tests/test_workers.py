@@ -67,8 +67,7 @@ def _come_to(outcome):
 
 
 def test_a_study_has_no_more_cases_than_anybody_reads():
-    for given in (dict(varied={"velocity": [0.1]}, repeat=1_000_000_000), dict(varied={}, repeat=MOST_CASES + 1),
-                  dict(varied={"velocity": [0.1]}, repeat=10**9, one_at_a_time=True),
+    for given in (dict(varied={"velocity": range(20)}, repeat=MOST_CASES),
                   dict(varied={key: range(100) for key in "abcdef"})):  # fmt: skip
         with pytest.raises(SceneError, match=r"makes [\d,]+ cases; a study has 10,000 at most"):
             cases_of({}, **given)

@@ -19,7 +19,7 @@ import numpy as np
 from . import checkpoint
 from .device import checked_threads, find_device, scalar_of
 from .display import Display
-from .errors import InstabilityError, RunFolderError, WarpcreteError, between, refuse
+from .errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, refuse
 from .files import is_full
 from .frames import Frames
 from .launching import telling
@@ -271,8 +271,8 @@ class Simulation:
                 self.prepare()
             else:
                 self.resume(path)
-        except BaseException:
-            self.abandon()
+        except BaseException as error:
+            self.abandon(refused=isinstance(error, SceneError))
             raise
 
     def claim(self) -> None:
@@ -280,9 +280,12 @@ class Simulation:
         for recorder in self.recorders:
             recorder.claim(self)
 
-    def abandon(self) -> None:
-        """Give back what `claim` took, unless the run has begun."""
+    def abandon(self, refused: bool = False) -> None:
+        """Give back what `claim` took, unless the run has begun; a scene that is `refused` leaves no state either."""
         if not self._ran:
+            if refused and not self.goes_on and self.checkpoint_path is not None:
+                with suppress(OSError):
+                    self.checkpoint_path.unlink(missing_ok=True)
             for recorder in self.recorders:
                 recorder.abandon(self)
 

@@ -8,8 +8,11 @@ from typing import Any
 
 from ..core.concretes import NamedConcrete, known_only
 from ..core.errors import refuse
+from ..core.limits import warn
 from ..mix.mix import completed
 
+SIZES = ("sizes", "size_min", "size_max")
+"""Parameters that tell the sizes of the aggregate."""
 COVERAGE = 0.8
 """Area on which a lubrication layer acts (pi r^2 of every contact with the wall) over that of the wall, of clumps with
 the contacts of Zhan's Table 1: 0.77 at 2.8 and 0.79 at 6.2 kPa, by `tests/bench_layer.py`. With it units A and B of
@@ -31,6 +34,10 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     section = found.elements or _of_flow(found)
     if found.mix is not None:
         section = {**found.elements, **_of_flow(found), **found.mix.elements}
+    sized = any(size in values or size in section for size in SIZES)
+    if found.flow and not sized and (found.mix is not None or not found.elements):
+        warn(f"concrete {found.name} has no sieve curve: its aggregate has the default sizes of the scene; "
+             "sizes = '4:0,8:0.4,16:1' gives one")  # fmt: skip
     if "density" in values:  # of the aggregates: the concrete's own then says nothing
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)

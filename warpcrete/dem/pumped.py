@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import SceneError, refuse
-from ..core.parameters import Above, Within, declared_fields
+from ..core.errors import refuse
+from ..core.parameters import Above, Within
 from ..geometry.axis import Axis
 from ..geometry.walls import Driven, PlaneWall
-from ..mix.mix import completed
 from .clumps import templates
 from .containers import Fill, PipeContainer
 from .laws import Contact, ContactLaw, LubricationLayer
@@ -121,28 +120,6 @@ def _distribution(given: AggregateParameters) -> Sizes:
         refuse("sizes", given.sizes, "must be gaussian, uniform or a sieve curve",
                "for example '5:0,10:0.4,20:1' (mm:passing)")  # fmt: skip
     return SieveCurve(tuple(1e-3 * o for o in openings), tuple(passing))
-
-
-SIZES = ("sizes", "size_min", "size_max")
-
-
-def remark_on_sizes(name: str, given: AggregateParameters) -> Iterator[str]:
-    """Yield a remark if the concrete `name` is known by its flow or its mix and neither tells the sizes of its
-    aggregate, so that the defaults stand for them.
-    """
-    known = declared_fields(AggregateParameters)
-    if any(getattr(given, each) != known[each].default for each in SIZES):
-        return
-    try:
-        found = completed(name)
-    except SceneError:  # the file is gone, and the run repeats a record that holds all it said
-        return
-    if found.flow and not set(SIZES) & set(found.elements) and (found.mix is not None or not found.elements):
-        yield (
-            f"concrete {found.name} has no sieve curve: its aggregate is taken as {given.sizes}, "
-            f"{1e3 * given.size_min:g} to {1e3 * given.size_max:g} mm, as in Zhan et al. 2019; "
-            "--sizes '4:0,8:0.4,16:1' gives one"
-        )
 
 
 def fractions_of(text: str | None) -> tuple[float, ...] | None:
