@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, scene_function
@@ -75,6 +76,14 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     )
 
 
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "volume": "a smaller --spacing, or a smaller --time-step",
+    "light is seen": "a longer --duration",
+}
+
+
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a funnel: name -> (passed, what was found)."""
     result = run.result

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
@@ -116,6 +117,14 @@ def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
         yield MeshWall(name=f"bar{n + 1}", vertices=bar.vertices, faces=bar.faces)
 
 
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "volume": "a smaller --spacing, or a smaller --time-step",
+    "at rest": "a longer --duration",
+}
+
+
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of an L-box: name -> (passed, what was found)."""
     result = run.result

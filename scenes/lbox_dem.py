@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, scene_function
 from warpcrete.core.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.scene import Scene, Vessel
-from warpcrete.dem.vessels import VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.dem.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 
@@ -84,6 +85,7 @@ def scene(parameters: BoxElements) -> Scene:
     )
 
 
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of an L-box: name -> (passed, what was found)."""
     speed = number(run.result["rest_speed"])

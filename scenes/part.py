@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.concretes import is_file
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Knob, Trading, precisions, scaled
@@ -202,6 +203,16 @@ def _axis(given: PartParameters, bends: bool) -> Axis:
     return Axis(origin, tangent, (Line(given.straight), arc, Line(given.straight + narrowing)))
 
 
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "steady": "a longer --duration",
+    "friction upstream": "a smaller --spacing, or a longer --straight",
+    "friction downstream": "a smaller --spacing, or a longer --straight",
+    "volume": "a smaller --tolerance, or a smaller --time-step",
+}
+
+
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a flow through a part: name -> (passed, what was found)."""
     result = run.result

@@ -12,6 +12,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.concretes import concrete, shipped
 from warpcrete.core.errors import refuse
 from warpcrete.core.knobs import Trading
@@ -108,6 +109,19 @@ def scene(parameters: PipeParameters) -> Scene:
     )
 
 
+CURES = {
+    "finished": "a shorter --travel, or an --overlap-limit that lets it go on",
+    "momentum balance": "--precision float64, or a smaller --safety",
+    "all aggregates inside": "a larger --modulus, or a smaller --safety",
+    "no aggregate swallowed": "a larger --modulus, or a smaller --safety",
+    "not blocked": "a smaller --size-max, or a larger --diameter",
+    "plug holds": "a smaller --plug-ball, or more --plug-layers",
+    "enough aggregates": "a smaller --size-max, or a larger --diameter",
+    "plateau": "a longer --travel",
+}
+
+
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a pipe run: name -> (passed, what was found)."""
     result, scene = run.result, run.scene

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
+from warpcrete.core.checks import with_cures
 from warpcrete.core.knobs import Knob, Trading
 from warpcrete.core.parameters import Above, OneOf, Within, scene_function
 from warpcrete.core.run_loop import Run
@@ -89,6 +90,14 @@ def _room(top: float, base: float, height: float, yield_stress: float, density: 
     return max(min(widest, 5 * base), 1.5 * base)
 
 
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "volume": "a smaller --spacing, or a smaller --time-step",
+    "at rest": "a longer --duration",
+}
+
+
+@with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a slump: name -> (passed, what was found)."""
     result = run.result

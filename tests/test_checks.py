@@ -5,6 +5,7 @@ states the values at which its entry must still pass and must fail; a value that
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ import pytest
 from made_runs import MIDDLE, RUNS, Made, scene_name, verdicts
 
 from warpcrete import scenes
+from warpcrete.core.parameters import declared_fields
 from warpcrete.mps.column import all_slip
 
 NAN = math.nan
@@ -290,6 +292,17 @@ def test_each_entry_fails_alone(sound, run):
             case.change(made, value)
             found = verdicts(made)
             assert {name for name, passed in found.items() if not passed} == failing, (case.entry, case.side, value)
+            for name in failing:
+                named_options(made, name)
+
+
+def named_options(made: Made, entry: str) -> None:
+    """Check that a failed entry names a cure, with options that the scene has."""
+    module = scenes.modules()[made.scene.name]
+    text = module.check(made.run())[entry][1]
+    assert "; usual cure: " in text, (entry, text)
+    options = re.findall(r"--([a-z-]+)", text.partition("usual cure")[2])
+    assert options and {option.replace("-", "_") for option in options} <= set(declared_fields(module.scene.parameters))
 
 
 @pytest.mark.parametrize("name", scenes.modules())

@@ -334,6 +334,16 @@ FEWEST = 200
 """Grains that stand for concrete in a vessel: of fewer the outcome is that of single stones."""
 
 
+CURES = {
+    "momentum balance": "--precision float64, or a smaller --safety",
+    "no grain swallowed": "a larger --modulus, or a smaller --safety",
+    "enough grains": "a smaller --size-max",
+    "at rest": "a longer --duration",
+    "one heap": "a larger --settle, or a smaller --size-max",
+    "light is seen": "a longer --duration",
+}
+
+
 def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
     """What every run in a vessel is checked for: name -> (passed, what was found)."""
     result = run.result

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from ..core.checks import with_cures
 from ..core.concretes import is_file
 from ..core.errors import positive, refuse
 from ..core.knobs import Knob, Level, Trading, precisions, scaled
@@ -216,6 +217,20 @@ PROFILE_ACCURACY = 0.01
 """Root mean square, of the mean velocity."""
 
 
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "steady": "a larger --steadiness, or a larger --time-step",
+    "pressure": "a smaller --spacing, or --ends grid where little slips",
+    "wall's stress": "a smaller --spacing, or --ends grid where little slips",
+    "volume": "a smaller --tolerance, or a smaller --time-step",
+    "balance of forces": "a smaller --tolerance, or a smaller --time-step",
+    "restart": "a smaller --spacing, or a shorter --sample-interval",
+    "slip velocity": "a smaller --spacing, or --ends grid where little slips",
+    "profile": "a smaller --spacing, or --ends grid where little slips",
+}
+
+
+@with_cures(CURES)
 def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a flow: name -> (passed, what was found)."""
     result, scene = run.result, run.scene

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
+from ..core.checks import Check
 from ..core.run_loop import Recorder, Run, Simulation
-
-Check = Callable[[Run], dict[str, tuple[bool, str]]]
-"""Of a finished run: name of a check -> whether it passed, and what was found."""
 
 
 class CheckRecorder(Recorder):
