@@ -22,7 +22,7 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.crossings import meeting
 from warpcrete.geometry.lines import check_crossing, read_line
-from warpcrete.geometry.mesh_parts import WAYS, bore_of
+from warpcrete.geometry.mesh_parts import FIT, WAYS, bore_of
 from warpcrete.geometry.meshes import load
 from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line, said_by_mesh
 from warpcrete.geometry.walls import MeshWall
@@ -69,7 +69,8 @@ class PartParameters(ConcreteParameters, PartSettings):
     taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
     wall: Annotated[str | None, "mesh file (STL, OBJ ...) whose bore stands for the round pipe: it begins at the "
-                    "origin and leads along x, y or z there, or goes as the other units do", ALONE] = None  # fmt: skip
+                    "origin and leads along x, y or z there, or goes as the other units do", ALONE,
+                    FileIf(bool)] = None  # fmt: skip
     wall_scale: Annotated[
         float, "factor from the unit of the mesh file to metres: 0.001 for mm", Needs("wall", _is_given, "is given"),
         Above()
@@ -148,6 +149,11 @@ def _mesh(given: PartParameters) -> _Course:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
+    if abs(bore.ends[0] / given.diameter - 1) > FIT:
+        refuse(
+            "diameter", given.diameter, f"is not that of the mesh, {bore.ends[0]:.4g} m at the start", "leave it out"
+        )
+    check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
     inner = bore.axis
     begin, end = given.straight, given.straight + inner.length
     start = np.array(inner.start) - begin * np.array(inner.tangent)

@@ -131,6 +131,42 @@ def test_the_axis_of_a_bent_bore_is_found(tmp_path, bend, made):
     assert np.linalg.norm(middles - axis.nearest(middles), axis=1).max() < 0.01 * 0.05
 
 
+@pytest.mark.parametrize("sharp", [0.075, 0.1, 0.15])
+@pytest.mark.parametrize("stretch", [0.02, 0.2])
+def test_the_axis_of_a_tight_elbow_is_found_to_its_end(tmp_path, sharp, stretch):
+    """Radii of 0.75, 1 and 1.5 diameters, between stretches of a fifth of a diameter and of two."""
+    elbow = Axis((0, 0, 0), (1, 0, 0), (Line(stretch), Arc(sharp, 2 * EIGHTH, (0, 0, 1)), Line(stretch)))
+    mesh = trimesh.load_mesh(bent(tmp_path / "elbow.stl", elbow, wall=4e-3))
+    found = follow(mesh.vertices, mesh.faces, np.zeros(3), [np.array([1.0, 0, 0])], "wall", "elbow")
+    axis = Axis((0, 0, 0), (1, 0, 0), pieces_through(found.points, found.ahead, 0.05))
+    (end,), (way,) = axis.at(axis.length)
+    (known,), (ahead,) = elbow.at(elbow.length)
+    # A stretch shorter than a radius shows no direction of its own: the end is off by up to 3.5 mm and 3 degrees.
+    near, askew = (5e-4, 0.01) if stretch == 0.2 else (4e-3, 0.06)
+    assert np.linalg.norm(end - known) < near and np.linalg.norm(way - ahead) < askew
+
+
+@pytest.mark.parametrize("begin", [-0.3, -0.05])
+def test_a_mesh_that_begins_before_its_origin_is_refused(tmp_path, begin):
+    axis = Axis((begin, 0, 0), (1, 0, 0), (Line(0.6),))
+    bent(tmp_path / "tube.stl", axis)
+    for make in (scenes.part, scenes.part_dem):
+        with pytest.raises(SceneError, match="goes on behind its origin, where it should begin; move it so that"):
+            make(wall=str(tmp_path / "tube.stl"))
+
+
+def test_walls_that_nothing_can_follow_are_refused(tmp_path):
+    """An undercut hides a part of the wall; a plate with a thickness closes the end; unit mesh needs a mesh."""
+    s, radii = [0, 0.2, 0.19, 0.25, 0.26, 0.6], [0.05, 0.05, 0.06, 0.06, 0.05, 0.05]
+    points, faces = STRAIGHT.swept(np.array(s), np.array(radii), 64)
+    trimesh.Trimesh(points, faces, process=False).export(tmp_path / "groove.stl")
+    with pytest.raises(SceneError, match=r"has parts of its wall that an edge hides from the axis, 0\.[12]\d* m"):
+        scenes.part(unit="horizontal", wall=str(tmp_path / "groove.stl"), **FLOW)
+    for make in (scenes.part, scenes.part_dem):
+        with pytest.raises(SceneError, match="unit = 'mesh': needs a wall"):
+            make(unit="mesh")
+
+
 def test_a_part_goes_as_its_mesh_does(tmp_path):
     """Diameter, length and rise come from the mesh, and pipe goes on straight before and behind it."""
     path = bent(tmp_path / "s.stl", BENDS["S"], wall=4e-3)

@@ -84,11 +84,11 @@ def test_a_bore_with_a_hole_or_a_plate_across_it_is_refused(tmp_path):
     middle = np.abs(whole.triangles_center - whole.bounds.mean(0))
     torn = trimesh.Trimesh(whole.vertices, whole.faces[~((middle[:, 0] < 40) & (whole.triangles_center[:, 1] > 61))])
     torn.export(path)
-    with pytest.raises(SceneError, match=r"has gaps along the axis: \d+ of \d+ sections are open .*; close its holes"):
+    with pytest.raises(SceneError, match=r"could be followed for 0\.08\d* m only; see what is there: a hole"):
         line(tmp_path)
     plate = trimesh.creation.box((5, 60, 60), trimesh.transformations.translation_matrix((125, 0, 0)))
     trimesh.util.concatenate([whole, plate]).export(path)
-    with pytest.raises(SceneError, match=r"is blocked: a surface crosses the axis 0\.12\d* m from its start"):
+    with pytest.raises(SceneError, match=r"is blocked: a surface crosses the axis 0\.1[12]\d* m from its start"):
         line(tmp_path)
 
 

@@ -17,7 +17,7 @@ from ..core.knobs import Knob, Level, precisions, scaled
 from ..core.parameters import Above, FileIf, Needs, OneOf, Within
 from ..geometry.axis import Arc, Axis, Line
 from ..geometry.bores import FACETS, Bores
-from ..geometry.lines import Part, PipeLine, read_line
+from ..geometry.lines import Part, PipeLine, check_crossing, read_line
 from ..geometry.mesh_parts import FIT, WAYS, Insert, bore_of
 from ..geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line, said_by_mesh
 from .laws import LawChoice, WallLawChoice
@@ -141,6 +141,8 @@ def course_of(given: PartElements) -> Course:
     line = None if given.line is None else read_line(given.line)
     if line is not None:
         check_straight_ends(line, given.line)
+    if given.unit == "mesh" and given.wall is None and line is None:
+        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
     parts = _meshed(given) if given.wall is not None else line
     if parts is None:
         axis, bores, middle = _part(given)
@@ -205,7 +207,9 @@ def _meshed(given: PartElements) -> PipeLine:
         Part(3, "straight", outlet, given.straight, level * given.straight, outlet),
     )
     pieces = (Line(given.straight), *mesh.axis.pieces, Line(given.straight))
-    return PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
+    line = PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
+    check_crossing(line, hint="take a shorter straight, or cut the mesh")
+    return line
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:

@@ -31,8 +31,10 @@ LEVEL = 0.1
 """Part by which the mean over that window may differ from that over an equal one before it, on a plateau, and by which
 a straight line through the window may rise or fall over it."""
 NOISE = 2.0
-"""Standard deviations of the scatter about that line that its rise may amount to: a short window of a noisy pressure
-rises or falls by chance."""
+"""Standard deviations of the noise that this rise may amount to: a short window of a noisy pressure rises or falls by
+chance."""
+MEDIAN = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +115,9 @@ class Known:
 def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
     """Return whether a pressure is on a plateau from a travel of `begin` [m] on, seen beside the `width` [m] before.
 
-    Both means agree to LEVEL of the later one, and the line of least squares through the later part rises or falls by
-    no more than that, or than NOISE times the scatter about it.
+    Both means agree to LEVEL of the later one. The line of least squares through the later part rises or falls by no
+    more than that, or than NOISE times the noise, and the last quarter's mean does not differ by more either. The noise
+    is the median distance from that line, so that a pressure that jumps at its end is not taken for a noisy one.
     """
     late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
     if not ahead.any() or np.count_nonzero(late) < 2:
@@ -122,11 +125,12 @@ def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: floa
     mean = float(pressure[late].mean())
     x = travel[late] - travel[late].mean()
     slope = float(x @ pressure[late]) / max(float(x @ x), 1e-300)
-    scatter = float(np.std(pressure[late] - mean - slope * x))
+    noise = MEDIAN * float(np.median(np.abs(pressure[late] - mean - slope * x)))
     change = abs(slope) * float(np.ptp(x))
-    return abs(mean - float(pressure[ahead].mean())) <= LEVEL * abs(mean) and change <= max(
-        LEVEL * abs(mean), NOISE * scatter
-    )
+    last = float(pressure[travel >= begin + 0.75 * (travel[-1] - begin)].mean())
+    allowed = max(LEVEL * abs(mean), NOISE * noise)
+    level = abs(mean - float(pressure[ahead].mean())) <= LEVEL * abs(mean)
+    return level and change <= allowed and abs(last - mean) <= allowed
 
 
 def stroke_begun(scene: Scene, travel: float) -> float:

@@ -76,9 +76,9 @@ class Stepper:
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0
-        fastest = max((wall.top_speed() for wall in model.walls), default=0.0)
+        fastest = self._fastest_wall(model)
         self._wall_step = LEAP * state.smallest_radius / fastest if fastest and state.sphere_count else math.inf
-        """In which a prescribed wall goes no further than the smallest sphere may [s]."""
+        """Longest step in which a prescribed wall goes no further than the smallest sphere may [s]."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -258,21 +258,23 @@ class Stepper:
                     "given for an automatic one"
                 )
             refuse("time_step", fixed, what, "leave it out for an automatic step")
-        self._check_walls()
         self._estimated = True
         self.batch.estimated(self.index, self.steps)
         return dt
 
-    def _check_walls(self) -> None:
-        """Refuse a fixed step in which a prescribed wall goes further than the smallest radius."""
-        fixed = self.time_step.fixed
-        if fixed is None or not self.state.sphere_count:
-            return
-        for wall in self.model.walls:
-            if wall.top_speed() * fixed > self.state.smallest_radius:
-                refuse("time_step", fixed, f"moves the wall {wall.name!r} by {wall.top_speed() * fixed:.3g} m a step, "
-                       f"further than the smallest radius, {self.state.smallest_radius:.3g} m",
+    def _fastest_wall(self, model: Model) -> float:
+        """Return the speed of the fastest prescribed wall [m/s].
+
+        Raises :class:`SceneError` if one goes further than the smallest radius in a fixed step.
+        """
+        speeds = {wall.name: wall.top_speed() for wall in model.walls}
+        fixed, radius = self.time_step.fixed, self.state.smallest_radius
+        for name, speed in speeds.items() if fixed is not None and self.state.sphere_count else ():
+            if speed * fixed > radius:
+                refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m a step, further than the "
+                       f"smallest radius, {radius:.3g} m",
                        "leave it out for an automatic step, or slow the wall down")  # fmt: skip
+        return max(speeds.values(), default=0.0)
 
     def _since_estimate(self) -> float:
         """Steps taken since the stable step was estimated; infinite where it must be anew."""

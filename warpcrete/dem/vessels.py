@@ -145,7 +145,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         for name, default in (("plate_grip", LawParameters.plate_grip), ("mould_grip", None)):
             if getattr(self, name) != default and self.contact is not None and not self.is_gripped:
                 refuse(name, getattr(self, name), f"means nothing beside contact {type(self.contact).__name__}, which "
-                       f"has no {', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
+                       f"resists neither sliding nor rolling ({', '.join(RESISTANCES)})", "leave it out")  # fmt: skip
         if self.holding > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
                    "what the concrete flows on holds it most")  # fmt: skip

@@ -6,15 +6,13 @@ import numpy as np
 
 from ..core.errors import refuse
 from .axis import Axis
-from .cleaning import clean
-from .meshes import SurfaceQueries
+from .cleaning import clean, default_tolerance, merged_corners
+from .meshes import FARTHEST_WALL, SurfaceQueries
 
 WIDEST_ERROR = 0.1
 """Part of a pipe's radius by which a mesh in its place may differ from it."""
 AROUND = 24
 """Directions in which a section is measured."""
-TURNED = 0.382
-"""Part of the angle between two directions by which all are turned, so that rays miss the edges of regular tubes."""
 INSET = 1e-3
 """Distance over the radius that sections keep from a rim or lid, where a ray may miss."""
 SHORT = 0.02
@@ -28,8 +26,6 @@ OFFSET = 1e-4
 """Distance over the radius from a facet at which it is looked at, on both of its sides."""
 CORNERS = 0.8
 """Share of a corner in the points, besides the middle, at which a facet is looked at."""
-FARTHEST = 10.0
-"""Length of the rays that look for a wall, over the radius."""
 
 
 class InnerSurface:
@@ -62,6 +58,7 @@ class InnerSurface:
         name: str,
         span: tuple[float, float] | None = None,
     ) -> None:
+        given = vertices, faces
         vertices, faces, origin = clean(vertices, faces)
         if len(faces) == 0:
             refuse(field, name, "holds only triangles without area")
@@ -70,9 +67,9 @@ class InnerSurface:
         self._all = SurfaceQueries(vertices, faces)
         self.begin, self.end = self._covered(vertices, field, name)
         """Arc lengths between which the mesh encloses the axis [m]."""
-        self._check_free(field, name, vertices, faces)
+        self._check_free(field, name)
         kept = self._seen(vertices, faces)
-        self._check_closed(field, name, vertices, faces, kept)
+        self._check_closed(field, name, *given, origin, origin[kept])
         used, corners = np.unique(faces[kept], return_inverse=True)
         self.vertices = vertices[used]
         """Corners of the inner surface [m], shape (n, 3)."""
@@ -87,14 +84,12 @@ class InnerSurface:
 
         Directions k and k + around / 2 are opposite to each other.
         """
-        inset = min(INSET * self._radius, 0.25 * (self.end - self.begin))
-        return self._probed(np.clip(s, self.begin + inset, self.end - inset), around)
+        return self._probed(self._inside(s), around)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of `points` (n, 3) from the wall [m], positive inside the bore, shape (n,)."""
         s = self.axis.along(points)
-        inset = min(INSET * self._radius, 0.25 * (self.end - self.begin))
-        inner = np.clip(s, self.begin + inset, self.end - inset)
+        inner = self._inside(s)
         nearest, tangents = self.axis.at(inner)
         # The axis is straight beyond its ends: a point there is measured where its section last is the mesh's.
         points = points + ((inner - s)[:, None] * tangents if np.any(inner != s) else 0.0)
@@ -105,13 +100,15 @@ class InnerSurface:
         inside = (found < 0) | (found >= apart)
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
+    def _inside(self, s: np.ndarray) -> np.ndarray:
+        """Return arc lengths moved a little inside the ends, where sections are still those of the bore [m]."""
+        low, high = max(self.begin, self._low), min(self.end, self._high)
+        inset = min(INSET * self._radius, 0.25 * (high - low))
+        return np.clip(s, low + inset, high - inset)
+
     def _probed(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
         points, _, normal, side = self.axis.frame(s)
-        angle = 2 * np.pi * (np.arange(around) + TURNED) / around
-        ways = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-        starts = np.broadcast_to(points[:, None], ways.shape)
-        reach = FARTHEST * self._radius
-        return self._all.rays(starts.reshape(-1, 3), ways.reshape(-1, 3), reach).reshape(len(s), around)
+        return self._all.around(points, normal, side, around, FARTHEST_WALL * self._radius)
 
     def _covered(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
         """Return the arc lengths between which every section is closed, and refuse a mesh that leaves some open."""
@@ -155,9 +152,9 @@ class InnerSurface:
         low, high = max(self.begin, self._low), min(self.end, self._high)
         return across & ((s < low + near) | (s > high - near))
 
-    def _check_free(self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Refuse a surface that crosses the axis within the part."""
-        inset = NEAR * self._radius
+    def _check_free(self, field: str, name: str) -> None:
+        """Refuse a surface that crosses the axis within the part; lids lie at its ends or beyond."""
+        inset = SHORT * self._radius
         low, high = max(self.begin, self._low) + inset, min(self.end, self._high) - inset
         s = np.linspace(low, high, max(8, 2 + int(8 * (high - low) / self._radius)))
         points, _ = self.axis.at(s)
@@ -167,19 +164,38 @@ class InnerSurface:
         hit = (found >= 0) & (found <= length)
         if np.any(hit):
             refuse(field, name, f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start",
-                   "leave the bore open there")  # fmt: skip
+                   "leave the bore open there; a lid has no thickness and lies at an end")  # fmt: skip
 
-    def _check_closed(self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, kept: np.ndarray) -> None:
-        """Refuse an inner surface whose mesh has rims besides those at its ends."""
-        edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
-        unique, of, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-        single = np.intersect1d(np.flatnonzero(count == 1), of.reshape(-1, 3)[kept])
+    def _check_closed(
+        self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, whole: np.ndarray, kept: np.ndarray
+    ) -> None:
+        """Refuse an inner surface with rims between its ends: holes, and edges that hide what lies behind them.
+
+        `vertices` and `faces` are those of the mesh as it was given, `whole` and `kept` numbers of triangles that have
+        an area and of those that belong to the inner surface. Triangles without area count as well, as they close the
+        edges that CAD programs split.
+        """
+        corners = np.sort(merged_corners(vertices, default_tolerance(vertices))[faces], axis=1)
+        _, first = np.unique(corners, axis=0, return_index=True)
+        flat = np.setdiff1d(first[np.all(np.diff(corners[first], axis=1) > 0, axis=1)], whole)
+        edges, of = np.unique(corners[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=0, return_inverse=True)
+        of = of.reshape(-1, 3)
+
+        def count(*chosen: np.ndarray) -> np.ndarray:
+            return np.bincount(of[np.concatenate(chosen)].ravel(), minlength=len(edges))
+
+        low, high = max(self.begin, self._low), min(self.end, self._high)
         inset = SHORT * self._radius
-        along = self.axis.along(vertices[unique[single]].reshape(-1, 3)).reshape(-1, 2)
-        within = np.any((along > self.begin + inset) & (along < self.end - inset), axis=1)
-        if np.any(within):
-            refuse(field, name, f"is not closed: {np.count_nonzero(within)} border edges lie between its ends",
+        along = self.axis.along(vertices[edges].reshape(-1, 3)).reshape(-1, 2)
+        open_ = np.any((along > low + inset) & (along < high - inset), axis=1) & (count(kept) == 1)
+        holes = open_ & (count(whole, flat) == 1)
+        if np.any(holes):
+            refuse(field, name, f"is not closed: {np.count_nonzero(holes)} border edges lie between its ends",
                    "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
+        hidden = open_ & (count(kept, flat) == 1)
+        if np.any(hidden):
+            refuse(field, name, f"has parts of its wall that an edge hides from the axis, {along[hidden].min():.3g} m "
+                   "from its start", "a bore has no undercuts: fill them")  # fmt: skip
 
     def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return the numbers of the facets that belong to the inner surface."""

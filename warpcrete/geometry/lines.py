@@ -36,7 +36,7 @@ ASKEW = 20.0
 [degrees]."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
-PLACES = {"bend": 9, "hose": 33}
+PLACES = {"bend": 9, "hose": 33, "bore": 33}
 """Along a part, between which it is taken to be straight when a line is looked at for crossings."""
 
 

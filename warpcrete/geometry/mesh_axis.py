@@ -10,7 +10,7 @@ import numpy as np
 from ..core.errors import refuse
 from .axis import Arc, Axis, Line
 from .curves import joining
-from .meshes import SurfaceQueries
+from .meshes import FARTHEST_WALL, SurfaceQueries, fan
 
 AROUND = 36
 """Directions in which a section is measured."""
@@ -18,6 +18,14 @@ ADVANCE = 0.25
 """Distance between two sections over the radius."""
 FINEST = 1 / 256
 """Least distance between two sections over the radius, with which the end is found."""
+SHORTEST = ADVANCE / 16
+"""Least distance between two sections over the radius on the way."""
+TURNS, TURN = 6, 0.4
+"""Number of times a new section is turned towards the direction of the bore there, and by which part of the way."""
+SHARPEST = 0.6
+"""Largest turn from one section to the next [rad]."""
+BEYOND = (0.1, 0.3)
+"""Distances over the radius behind an end at which nothing may surround the axis."""
 MOST = 4000
 """Largest number of sections."""
 ROUNDS = 3
@@ -28,8 +36,6 @@ STRAYS = 0.004
 """Distance over the radius by which the curve may pass the middles of sections."""
 BENT = 0.004
 """Angle by which a straight piece may differ from the directions in its sections [rad]."""
-STRAYING = 0.3
-"""Distance over the step by which a section's middle may lie beside where it is sought."""
 LEAST_STRAIGHT = 4
 """Least number of steps between sections that make a straight piece of their own."""
 NEAREST = 1e-3
@@ -38,8 +44,6 @@ ASIDE = 0.02
 """Distance of the middle of the first section from the start over its radius, at most."""
 SAME = 0.02
 """Part by which the radius of a section may change when it is moved a little."""
-FARTHEST = 10.0
-"""Length of the rays that look for a wall, over the radius."""
 WIDENS = 3.0
 """Radius of a section over that of the section before it above which the wall is taken to have an opening."""
 
@@ -82,6 +86,10 @@ def follow(
     # The last section was as far askew as the bore turns within a step: now it may lie nearer to the end.
     points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
+    last = directions(points, ahead)[-1]
+    found = f"could be followed for {_length(list(points)):.4g} m only"
+    _check_open(queries, points[-1], last, radii[-1], field, name, found,
+                "see what is there: a hole, a sharp edge, a branch, a plate or a chamber")  # fmt: skip
     return Sections(ahead, points, radii)
 
 
@@ -168,6 +176,8 @@ def _first_way(
         middle = first[0] - start
         beside = float(np.linalg.norm(middle - (middle @ way) * way))
         if beside <= ASIDE * first[1]:
+            _check_open(queries, start, -way, first[1], field, name, "goes on behind its origin, where it should begin",
+                        "move it so that the middle of one end lies at its origin")  # fmt: skip
             return way, first[1]
     if beside is not None:
         refuse(field, name, f"does not begin at its origin: the middle of its first section lies {beside:.4g} m beside",
@@ -180,54 +190,112 @@ def _first_way(
 def _march(
     queries: SurfaceQueries, start: np.ndarray, ahead: np.ndarray, radius: float, field: str, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and radii of sections from `start` [m] to the end, each square to the way from the last two."""
+    """Return middles and radii of sections from `start` [m] on, as far as they can be followed."""
     points, radii = [start], [radius]
-    tangent = ahead
+    tangent, step = ahead, ADVANCE
     while len(points) <= MOST:
-        step = ADVANCE * radii[-1]
-        found = _section(queries, points[-1] + step * tangent, tangent, radii[-1])
-        if found is None or np.linalg.norm(found[0] - points[-1] - step * tangent) > STRAYING * step:
-            break
-        if found[1] > WIDENS * radii[-1]:
-            refuse(field, name, f"opens to the side {len(points) * ADVANCE * radius:.3g} m from its start",
+        found = _advanced(queries, points, tangent, step * radii[-1], radii[-1])
+        if found is None:
+            step *= 0.5
+            if step < SHORTEST:
+                break
+            continue
+        middle, wide, tangent = found
+        if wide > WIDENS * radii[-1]:
+            refuse(field, name, f"opens to the side {_length(points):.3g} m from its start",
                    "close the opening: a bore has one passage")  # fmt: skip
-        points.append(found[0])
-        radii.append(found[1])
-        way = points[-1] - points[max(0, len(points) - 3)]
-        # The chord over two steps has the direction of their middle: go on by as much as it has turned since.
-        way = way / np.linalg.norm(way)
-        tangent = 2 * way - tangent if len(points) > 3 else way
-        tangent = tangent / np.linalg.norm(tangent)
+        points.append(middle)
+        radii.append(wide)
+        step = min(2 * step, ADVANCE)
     else:
-        refuse(field, name, f"has no end within {MOST} sections", "take a mesh of one pipe that is open or has lids")
-    # Rays of the last section, which may be askew, may end on a lid: it is found again when directions are known.
-    if len(points) > 4:
-        points, radii = points[:-1], radii[:-1]
-    if len(points) < 3:
+        refuse(field, name, f"is longer than {MOST} sections at distances of a quarter of its radius",
+               "cut it into several parts")  # fmt: skip
+    # Rays of the last section may end on a lid, and sections that lie close together have uncertain directions.
+    kept = [0]
+    for k in range(1, len(points) - 1):
+        if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
+            kept.append(k)
+    if len(kept) < 3:
         refuse(field, name, "is too short to be followed", "check its unit, and that it leads away from its origin")
-    return np.array(points), np.array(radii)
+    return np.array(points)[kept], np.array(radii)[kept]
+
+
+def _advanced(
+    queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
+) -> tuple[np.ndarray, float, np.ndarray] | None:
+    """Return middle, radius and direction of the section a `step` [m] ahead, None if there is no closed one.
+
+    The section is turned square to the parabola through its middle and two before. In a cone, a section that leans has
+    its middle beside the axis, by up to the radius times the slope, so that only turning it part of the way converges.
+    """
+    way, found = tangent, None
+    place = points[-1] + step * tangent
+    for _ in range(TURNS):
+        found = _section(queries, place, way, radius)
+        if found is None or not 0.5 * step < (found[0] - points[-1]) @ tangent < 1.5 * step:
+            return None
+        way = way + TURN * (_slope(points, found[0], 0.9 * ADVANCE * radius, tangent) - way)
+        way = way / np.linalg.norm(way)
+        place = found[0]
+    if found is None or way @ tangent < np.cos(SHARPEST):
+        return None
+    return found[0], found[1], way
+
+
+def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
+    """Return the unit direction at the `last` of some points, by the parabola through two others so far `apart` [m]."""
+    chosen = [last]
+    for point in reversed(points):
+        if np.linalg.norm(point - chosen[-1]) >= apart:
+            chosen.append(point)
+            if len(chosen) == 3:
+                break
+    if len(chosen) == 1:
+        return tangent
+    ahead = chosen[0] - chosen[1]
+    length = float(np.linalg.norm(ahead))
+    slope = ahead / length
+    if len(chosen) == 3:
+        before = chosen[1] - chosen[2]
+        behind = float(np.linalg.norm(before))
+        # Slope of the parabola at its end: that of the chord, and as much more as it has turned.
+        slope = slope + (slope - before / behind) * length / (length + behind)
+    return slope / np.linalg.norm(slope)
+
+
+def _length(points: list[np.ndarray]) -> float:
+    return float(np.linalg.norm(np.diff(np.array(points), axis=0), axis=1).sum()) if len(points) > 1 else 0.0
+
+
+def _check_open(
+    queries: SurfaceQueries, end: np.ndarray, outward: np.ndarray, radius: float, field: str, name: str, *words: str
+) -> None:
+    """Refuse a bore that goes on behind one of its ends, where most rays must miss everything."""
+    normal, side = _across(outward)
+    places = end + radius * np.array(BEYOND)[:, None] * outward
+    missed = queries.around(places, normal[[0, 0]], side[[0, 0]], AROUND, FARTHEST_WALL * radius) < 0
+    if np.any(missed.mean(axis=1) < 0.5):
+        refuse(field, name, *words)
+
+
+def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors square to `tangent` and to each other, shape (1, 3) each."""
+    normal = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
+    normal = normal / np.linalg.norm(normal)
+    return normal[None], np.cross(tangent, normal)[None]
 
 
 def _section(
     queries: SurfaceQueries, point: np.ndarray, tangent: np.ndarray, radius: float
 ) -> tuple[np.ndarray, float] | None:
     """Return the middle of the section through a point square to `tangent` [m], and its radius [m]; None if open."""
-    across = np.eye(3)[np.argmin(np.abs(tangent))]
-    normal = np.cross(tangent, across)
-    normal = normal / np.linalg.norm(normal)
-    side = np.cross(tangent, normal)
-    angle = 2 * np.pi * (np.arange(AROUND) + 0.382) / AROUND
+    normal, side = _across(tangent)
+    ways = fan(normal, side, AROUND)[0]
     area = np.zeros(AROUND)
     for _ in range(4):
-        ways = np.cos(angle)[:, None] * normal + np.sin(angle)[:, None] * side
-        reach = queries.rays(np.broadcast_to(point, ways.shape), ways, FARTHEST * radius)
-        if np.any(missed := reach < 0):
-            # A ray along an edge may miss it: look again a little beside.
-            turned = angle[missed] + 0.1 / AROUND
-            ways[missed] = np.cos(turned)[:, None] * normal + np.sin(turned)[:, None] * side
-            reach[missed] = queries.rays(np.broadcast_to(point, ways[missed].shape), ways[missed], FARTHEST * radius)
-            if np.any(reach < 0):
-                return None
+        reach = queries.around(point[None], normal, side, AROUND, FARTHEST_WALL * radius)[0]
+        if np.any(reach < 0):
+            return None
         # Triangles between the point and two neighbours on the wall.
         corners = point + reach[:, None] * ways
         following = np.roll(corners, -1, axis=0)
@@ -249,11 +317,16 @@ def _longest(
 ) -> tuple[Curve, int]:  # fmt: skip
     """Return the curve of one kind that reaches farthest from the point `here`, and the number of the point there."""
     best, reached = None, here
-    for stop in range(here + 1, len(points)):
+    step, last = 1, len(points) - 1
+    while step > 0 and reached < last:
+        stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            break
-        best, reached = curve, stop
+            # It reached less than twice as far: halve what it is to reach farther.
+            step = step // 2 if best is not None else 0
+        else:
+            best, step = curve, 2 * (stop - reached) if stop - reached == step else step
+            reached = stop
     return best, reached
 
 

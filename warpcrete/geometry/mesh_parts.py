@@ -172,8 +172,9 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
     return axis, float(sections.radii[0])
 
 
+@functools.lru_cache(maxsize=8)
 def _surface(bore: MeshBore, field: str) -> InnerSurface:
-    """Return the inner surface of a mesh bore, in the mesh's coordinates."""
+    """Return the inner surface of a mesh bore, in the mesh's coordinates; its digest tells files of one name apart."""
     mesh = load(bore.file, field, bore.scale)
     return InnerSurface(mesh.vertices, mesh.faces, bore.axis, bore.radii[0], field, bore.file)
 

@@ -21,6 +21,11 @@ from .walls import MeshWall, PipeWall
 if TYPE_CHECKING:  # half a second to import, and most scenes have no mesh
     import trimesh
 
+FARTHEST_WALL = 10.0
+"""Length of the rays that look for a wall, over the radius."""
+TURNED, ASIDE = 0.382, 0.1
+"""Parts of the angle between two rays by which all are turned, so that they miss the edges of regular tubes, and by
+which those that slip through are turned once more."""
 ROUND = 0.01
 """Part of a pipe's radius by which its wall may differ from the cylinder and still count as one."""
 MOST_FACES = 500_000
@@ -79,21 +84,6 @@ def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
     edges = mesh.edges_sorted
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
-
-
-def border_loops(edges: np.ndarray) -> list[np.ndarray]:
-    """Corners of each connected set of `edges` (n, 2)."""
-    corners, local = np.unique(edges, return_inverse=True)
-    local = local.reshape(-1, 2)
-    label = np.arange(len(corners))
-    while True:
-        lowest = label.copy()
-        np.minimum.at(lowest, local[:, 0], label[local[:, 1]])
-        np.minimum.at(lowest, local[:, 1], label[local[:, 0]])
-        lowest = lowest[lowest]
-        if np.array_equal(lowest, label):
-            return [corners[label == k] for k in np.unique(label)]
-        label = lowest
 
 
 def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
@@ -162,11 +152,7 @@ def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 
     each place along the axis and a column for each of so many directions `around` it.
     """
     points, _, normal, side = axis.frame(_stations(radius, end, begin))
-    # Turned by an odd angle, so that rays do not run into the edges between the facets of a regular tube.
-    angle = 2 * np.pi * (np.arange(around) + 0.382) / around
-    directions = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-    origins = np.broadcast_to(points[:, None], directions.shape)
-    return rays(mesh, origins.reshape(-1, 3), directions.reshape(-1, 3), 10 * radius).reshape(-1, around)
+    return SurfaceQueries(mesh.vertices, mesh.faces).around(points, normal, side, around, FARTHEST_WALL * radius)
 
 
 def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.ndarray:
@@ -200,6 +186,12 @@ def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -
     return SurfaceQueries(mesh.vertices, mesh.faces).rays(origins, directions, reach)
 
 
+def fan(normal: np.ndarray, side: np.ndarray, count: int, turned: float = TURNED) -> np.ndarray:
+    """Return unit vectors at `count` even angles in planes of two unit vectors (n, 3), shape (n, count, 3)."""
+    angle = 2 * np.pi * (np.arange(count) + turned) / count
+    return np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
+
+
 class SurfaceQueries:
     """Rays to a triangle mesh and distances from it, in single precision on the CPU."""
 
@@ -214,6 +206,24 @@ class SurfaceQueries:
         """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3), -1 for a miss."""
         along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
         return self._launched(ray_distances, origins=_points(origins), directions=along, reach=reach)
+
+    def around(self, points: np.ndarray, normal: np.ndarray, side: np.ndarray, count: int, reach: float) -> np.ndarray:
+        """Return distances [m] of the wall around points in planes of two unit vectors, each shape (n, 3).
+
+        There are `count` directions in even angles; -1 stands for no wall within `reach` [m]. Shape (n, count).
+        """
+        found = self._fan(points, normal, side, count, reach, TURNED)
+        if np.any(found < 0):
+            # A ray along an edge between two facets may miss both: look again a little beside.
+            found = np.where(found < 0, self._fan(points, normal, side, count, reach, TURNED + ASIDE), found)
+        return found
+
+    def _fan(
+        self, points: np.ndarray, normal: np.ndarray, side: np.ndarray, count: int, reach: float, turned: float
+    ) -> np.ndarray:
+        ways = fan(normal, side, count, turned)
+        starts = np.broadcast_to(points[:, None], ways.shape)
+        return self.rays(starts.reshape(-1, 3), ways.reshape(-1, 3), reach).reshape(len(points), count)
 
     def distances(self, points: np.ndarray) -> np.ndarray:
         """Return the distance [m] of each of `points` (n, 3) from the surface."""

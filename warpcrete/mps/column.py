@@ -220,13 +220,13 @@ PROFILE_ACCURACY = 0.01
 CURES = {
     "finished": "a longer --duration, or a shorter --sample-interval",
     "steady": "a larger --steadiness, or a larger --time-step",
-    "pressure": "a smaller --spacing, or --ends grid where little slips",
-    "wall's stress": "a smaller --spacing, or --ends grid where little slips",
+    "pressure": "a smaller --spacing, or --ends periodic where little slips",
+    "wall's stress": "a smaller --spacing, or --ends periodic where little slips",
     "volume": "a smaller --tolerance, or a smaller --time-step",
     "balance of forces": "a smaller --tolerance, or a smaller --time-step",
     "restart": "a smaller --spacing, or a shorter --sample-interval",
-    "slip velocity": "a smaller --spacing, or --ends grid where little slips",
-    "profile": "a smaller --spacing, or --ends grid where little slips",
+    "slip velocity": "a smaller --spacing, or --ends periodic where little slips",
+    "profile": "a smaller --spacing, or --ends periodic where little slips",
 }
 
 

@@ -162,6 +162,9 @@ class FluidScene(Parametrised, FlowSettings):
         positive("spacing", self.spacing, "m")
         if self.paper_scheme and self.aggregates is not None:
             refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+        if self.aggregates is not None and (self.rest or self.step_error):
+            name = "rest" if self.rest else "step_error"
+            refuse(name, getattr(self, name), "is of flows on a grid, which has no aggregates", "leave one of them out")
         if self.ends == "piston" and self.rest:
             refuse("rest", self.rest, "is of flows on a grid, which holds what breaks of the structure",
                    "take ends = periodic, or 0")  # fmt: skip

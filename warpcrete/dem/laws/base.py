@@ -86,7 +86,7 @@ class ContactLaw(Declared, ABC):
             value = getattr(self, name)
             if isinstance(value, ContactLaw):
                 changes[name] = value.gripped(grip)
-            elif name in RESISTANCES:
+            elif name in RESISTANCES and value is not None:
                 changes[name] = grip * value
         return replace(self, **changes)
 
