@@ -29,6 +29,8 @@ from warpcrete.record.checks import CheckRecorder
 from warpcrete.record.loading import is_finished
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
+from warpcrete.studies.calibrate import resume_calibration
+from warpcrete.studies.reproduce import resume_reproduction
 
 FLOW = dict(duration=0.02, spacing=0.01, length=0.1)
 METHODS = ("start", "sample", "frame", "checkpoint", "write", "finish", "tidy")
@@ -96,9 +98,23 @@ def test_the_lock_of_a_killed_process_holds_nobody_up(tmp_path, monkeypatch):
         process.kill()
         process.communicate()
     assert (tmp_path / LOCK).is_file()
-    (tmp_path / "partial-run.rrd").write_bytes(b"half")
+    (tmp_path / ".warpcrete-partial-run.rrd").write_bytes(b"half")
     Hold(tmp_path).release()
     assert not list(tmp_path.iterdir())
+
+
+def test_files_of_the_user_stay(tmp_path):
+    """Whatever their names: in a folder that is taken for a run's, and in one that a run is asked to fill."""
+    (tmp_path / "partial-thesis.pdf").write_bytes(b"years")
+    with pytest.raises(RunFolderError, match="holds no reproduction.json; give"):
+        resume_reproduction(tmp_path)
+    with pytest.raises(RunFolderError, match="exists already"):
+        make_folder(tmp_path)
+    Hold(tmp_path).release()
+    assert [path.name for path in tmp_path.iterdir()] == ["partial-thesis.pdf"]
+    for resume in (resume_reproduction, lambda folder: resume_calibration(folder, {})):
+        with pytest.raises(RunFolderError, match=r"/nope': is no folder; give"):
+            resume(tmp_path / "nope")
 
 
 def test_a_new_folder_is_new(tmp_path):
@@ -269,7 +285,7 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
     folder = tmp_path / "run"
 
     def cut(parts, path):
-        path.with_name("partial-run.rrd").write_bytes(b"half")
+        path.with_name(".warpcrete-partial-run.rrd").write_bytes(b"half")
         raise Killed
 
     with monkeypatch.context() as patch:

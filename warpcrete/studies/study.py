@@ -311,7 +311,7 @@ def resume_study(
     check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
     device = unnumbered(record.get("device"))
-    with held(folder), open_cluster(scheduler, workers, device) as cluster:
+    with held(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
 

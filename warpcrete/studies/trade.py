@@ -185,7 +185,7 @@ def resume_trade(
     # Of GPUs all that there are, as with a study.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
-    with held(folder), open_cluster(scheduler, workers, device, trade.threads) as cluster:
+    with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(f"'{folder}': holds times of {trade.hardware}, workers have {here}; they do not mix")
         return _go_on(trade, budget, cluster, progress)
