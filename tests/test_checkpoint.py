@@ -122,6 +122,13 @@ def test_two_runs_hold_the_same_bits_and_other_seeds_do_not(device):
     assert len(hashes[0]) == 64
 
 
+def test_fingerprints_tell_large_numbers_types_and_functions_apart():
+    assert fingerprint(2**60) != fingerprint(2**60 + 1) and fingerprint(10**400) != fingerprint(10**400 + 1)
+    assert fingerprint(1) == fingerprint(1.0) == fingerprint(np.int64(1))
+    assert fingerprint(int) != fingerprint(float) and fingerprint(len) != fingerprint(abs)
+    assert fingerprint(mixed_scene) != fingerprint(fingerprint)
+
+
 def test_fingerprints_tell_scenes_apart():
     one = mixed_scene()
     assert fingerprint(one) == fingerprint(mixed_scene())

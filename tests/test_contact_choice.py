@@ -16,11 +16,12 @@ from test_records import refused, saved
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli import cli
+from warpcrete.core.files import write_json
 from warpcrete.core.fingerprints import fingerprint
 from warpcrete.core.origin import changed_fields
 from warpcrete.core.parameters import Above
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer, RollingResistance
-from warpcrete.record.loading import repeatable_scene
+from warpcrete.record.loading import load, repeatable_scene
 from warpcrete.studies import study as studies
 from warpcrete.studies.trade import run_trade
 
@@ -180,7 +181,38 @@ def test_a_law_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path, m
     assert "my_law.py', which has changed since" in refused("run", record, "--out", tmp_path / "out")
     monkeypatch.delitem(sys.modules, "my_law")
     file.unlink()
-    assert "there is no module 'my_law' on Python's path" in refused("run", record, "--out", tmp_path / "out")
+    assert "my_law.py', which is gone" in refused("run", record, "--out", tmp_path / "out")
+
+
+def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
+    """Unless it is imported already, or the command is told to trust the file."""
+    file = tmp_path / "evil_law.py"
+    file.write_text("from test_laws import Toy\nfrom dataclasses import dataclass\nfrom pathlib import Path\n"
+                    f"Path({str(tmp_path)!r}, 'ran').touch()\n"
+                    "@dataclass(frozen=True, kw_only=True)\nclass Evil(Toy):\n    pass\n")  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    parameters = dict(contact="evil_law:Evil", contact_push=1.0)
+    targets = tmp_path / "targets.yaml"
+    targets.write_text("vary: {velocity: [0.1, 0.2]}\ntargets:\n- {scene: pipe, quantity: plateau_pressure, value: 1e4,"
+                       f" uncertainty: 1e3, parameters: {json.dumps(parameters)}}}\n")  # fmt: skip
+    (tmp_path / "run").mkdir()
+    write_json(tmp_path / "run" / "scene.json", {"scene": "pipe", "parameters": parameters})
+    case = {"name": "001", "varied": {}, "parameters": parameters}
+    study = dict(scene="pipe", command={}, device="cpu", precision="float32", cases=[case])
+    write_json(tmp_path / "run" / "study.json", study)
+    path = list(sys.path)
+    for words in (["calibrate", targets], ["run", "run/scene.json"], ["run", "--resume", "run"]):
+        assert "contact = 'evil_law:Evil': is named by a file" in refused(*words)
+    with pytest.raises(SceneError, match=r"is named by a file .* write .warpcrete --trust"):
+        studies.load_study(tmp_path / "run")
+    assert load(tmp_path / "run").scene.parameters == parameters  # without the scene itself
+    assert not (tmp_path / "ran").exists() and "evil_law" not in sys.modules
+    assert "does not say how the run was recorded" in refused("--trust", "run", "--resume", "run")
+    assert (tmp_path / "ran").exists() and sys.path == path
+    assert studies.load_study(tmp_path / "run").scene == "pipe"  # the module is there now
+    monkeypatch.delitem(sys.modules, "evil_law")
+    with pytest.raises(SceneError, match="is named by a file"):  # trust ends with the command
+        studies.load_study(tmp_path / "run")
 
 
 def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
@@ -228,13 +260,13 @@ def test_a_run_with_the_guides_law_is_repeated_to_the_bit(tmp_path):
     done = command("run", "pipe", "--contact", "sticky:Sticky", "--contact-pull", "0.002", *options, *words, "--out",
                    "one", cwd=tmp_path)  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
-    again = command("run", "one/scene.json", *words, "--out", "two", cwd=tmp_path)
+    again = command("--trust", "run", "one/scene.json", *words, "--out", "two", cwd=tmp_path)
     assert again.returncode == done.returncode, again.stderr
     other = command("run", "pipe", "--contact", "sticky:Sticky", *options, *words, "--out", "three", cwd=tmp_path)
     assert other.returncode in (0, 3), other.stderr
     one, two, three = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two", "three"))
     assert one["state_hash"] == two["state_hash"] != three["state_hash"]
     assert one["momentum_balance_error"] < 0.01
-    lost = command("run", tmp_path / "one" / "scene.json", *words, "--out", tmp_path / "four", cwd="/")
+    lost = command("--trust", "run", tmp_path / "one" / "scene.json", *words, "--out", tmp_path / "four", cwd="/")
     assert lost.returncode == 2 and len(lost.stderr.splitlines()) == 1
     assert "there is no module 'sticky' on Python's path" in lost.stderr and "PYTHONPATH" in lost.stderr

@@ -92,7 +92,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
     assert done.returncode == 2 and len(lines) == 1, done.stderr
     assert file in lines[0] and "cannot be written" in lines[0] and "no state was kept" in lines[0]
     assert (tmp_path / "run" / "scene.json").is_file()
-    assert not list((tmp_path / "run").glob("partial*")) and not list((tmp_path / "run").glob("*.partial"))
+    assert not list((tmp_path / "run").glob("*partial*")) and not list((tmp_path / "run").glob("*.partial"))
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_packed(tmp_path, monkeypatch):
@@ -306,7 +306,7 @@ def test_a_run_that_could_not_be_written_is_not_finished(tmp_path):
 
 def test_nothing_half_written_stays_with_a_finished_run(tmp_path):
     path = tmp_path / "checkpoint.npz"
-    (tmp_path / "partial-checkpoint.npz").write_bytes(b"half")
+    (tmp_path / ".warpcrete-partial-checkpoint.npz").write_bytes(b"half")
     Simulation(scenes.pipe(**TINY), device="cpu", checkpoint_path=path).run()
     assert not list(tmp_path.iterdir())
 

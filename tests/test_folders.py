@@ -29,6 +29,8 @@ from warpcrete.record.checks import CheckRecorder
 from warpcrete.record.loading import is_finished
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
+from warpcrete.studies.calibrate import resume_calibration
+from warpcrete.studies.reproduce import resume_reproduction
 
 FLOW = dict(duration=0.02, spacing=0.01, length=0.1)
 METHODS = ("start", "sample", "frame", "checkpoint", "write", "finish", "tidy")
@@ -96,9 +98,23 @@ def test_the_lock_of_a_killed_process_holds_nobody_up(tmp_path, monkeypatch):
         process.kill()
         process.communicate()
     assert (tmp_path / LOCK).is_file()
-    (tmp_path / "partial-run.rrd").write_bytes(b"half")
+    (tmp_path / ".warpcrete-partial-run.rrd").write_bytes(b"half")
     Hold(tmp_path).release()
     assert not list(tmp_path.iterdir())
+
+
+def test_files_of_the_user_stay(tmp_path):
+    """Whatever their names: in a folder that is taken for a run's, and in one that a run is asked to fill."""
+    (tmp_path / "partial-thesis.pdf").write_bytes(b"years")
+    with pytest.raises(RunFolderError, match=r"holds no reproduction\.json; give"):
+        resume_reproduction(tmp_path)
+    with pytest.raises(RunFolderError, match="exists already"):
+        make_folder(tmp_path)
+    Hold(tmp_path).release()
+    assert [path.name for path in tmp_path.iterdir()] == ["partial-thesis.pdf"]
+    for resume in (resume_reproduction, lambda folder: resume_calibration(folder, {})):
+        with pytest.raises(RunFolderError, match=r"/nope': is no folder; give"):
+            resume(tmp_path / "nope")
 
 
 def test_a_new_folder_is_new(tmp_path):
@@ -108,6 +124,52 @@ def test_a_new_folder_is_new(tmp_path):
     (tmp_path / "a" / "b" / "file").touch()
     with pytest.raises(RunFolderError, match="exists already"):
         make_folder(tmp_path / "a" / "b")
+
+
+def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, monkeypatch, whole):
+    """It may have ended, or written a checkpoint; without one, the record becomes that of the run that begins anew."""
+    folder = shutil.copytree(whole, tmp_path / "run")
+    (folder / "result.json").unlink()
+    recorded = (folder / "scene.json").read_bytes()
+    usual = Hold.__init__
+
+    def late(*names):
+        def wait(self, where):
+            usual(self, where)
+            for name in names:
+                shutil.copyfile(whole / name, folder / name)
+
+        monkeypatch.setattr(Hold, "__init__", wait)
+
+    late("result.json")
+    with pytest.raises(RunFolderError, match=r"exists already, and that run is finished"):
+        flow(folder, going_on=True).begin(folder / "checkpoint.npz")
+    (folder / "result.json").unlink()
+    late()
+    (folder / "scene.json").write_text('{"scene": "old"}')
+    begun = flow(folder, going_on=True)
+    begun.begin(folder / "checkpoint.npz")
+    assert json.loads((folder / "scene.json").read_text())["scene"] == "channel"
+    begun.save(folder / "checkpoint.npz")
+    begun.abandon()
+    (folder / "checkpoint.npz").replace(whole.parent / "other.npz")
+
+    def checkpointed(self, where):
+        usual(self, where)
+        shutil.copyfile(whole.parent / "other.npz", folder / "checkpoint.npz")
+
+    monkeypatch.setattr(Hold, "__init__", checkpointed)
+    (folder / "scene.json").write_bytes(recorded)
+    again = flow(folder, going_on=True)
+    again.begin(folder / "checkpoint.npz")
+    assert again.goes_on and (folder / "scene.json").read_bytes() == recorded
+    again.abandon()
+    record = json.loads(recorded)
+    again = flow(folder, going_on=True)
+    again.recorders[0].again = True
+    (folder / "scene.json").write_text(json.dumps(record | {"files": {"bore.stl": "0"}}))
+    with pytest.raises(RunFolderError, match=r"another run \(its files differs\)"):
+        again.begin(folder / "checkpoint.npz")
 
 
 def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole):
@@ -269,7 +331,7 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
     folder = tmp_path / "run"
 
     def cut(parts, path):
-        path.with_name("partial-run.rrd").write_bytes(b"half")
+        path.with_name(".warpcrete-partial-run.rrd").write_bytes(b"half")
         raise Killed
 
     with monkeypatch.context() as patch:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
 from ..record.loading import is_finished, repeatable_scene
 from ..record.recorders import RECORDERS, Look, recorders_of
-from ..record.run_folder import scene_record
 from ..studies.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
@@ -100,7 +98,7 @@ def run(
         precision=precision,
         threads=settings["threads"],
         recorders=[
-            *recorders_of(folder, module.check, settings, look, kept, going_on=there),
+            *recorders_of(folder, module.check, settings, look, kept, going_on=there, again=not going_on),
             PipelineRecorder(settings["pipeline_vertical"], settings["pipeline_horizontal"], other),
         ],
         frame_interval=None if frames is None else 1.0 / frames,
@@ -108,13 +106,11 @@ def run(
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
     )
-    if there and not going_on:
-        _check_same_run(folder, scene_record(simulation, kept))
     for line in scene.remarks:
         click.echo(f"note: {line}", err=True)
     try:
         try:
-            simulation.begin(checkpoint if checkpoint.is_file() else None)
+            simulation.begin(checkpoint)
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(
@@ -176,20 +172,6 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
     estimate = run.result["pipeline_estimate"]
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
-
-
-def _check_same_run(folder: Path, record: dict[str, Any]) -> None:
-    """Refuse a folder that is finished or of another run; one that was cut may be run again into its folder."""
-    if is_finished(folder):
-        check_new(folder)
-    there = read_json(folder / "scene.json")
-    here = json.loads(json.dumps(record))
-    for name in ("scene", "parameters", "device", "precision", "command"):
-        if there.get(name) != here[name]:
-            raise RunFolderError(
-                f"out = '{folder}': exists already, with another run (its {name} differs); choose a new folder, or go "
-                f"on with that run: warpcrete run --resume {folder}"
-            )
 
 
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:

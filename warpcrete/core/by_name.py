@@ -3,6 +3,9 @@
 A parameter `contact` takes an object, or the name of its class: a short one, or `package.module:Class`. The class's own
 fields are parameters as well, `contact_FIELD`, and so are the fields of an object among them. Records and the command
 know the object by these names and numbers alone.
+
+To import a class runs the code of its module. A name that Python or the command line gives is imported; one that a file
+names only if its module is imported already, or the user trusts the file.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import inspect
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +25,44 @@ from .errors import SceneError, refuse
 from .fingerprints import fingerprint
 from .origin import note_file
 from .parameters import Field, Spread, declared_fields
+
+_from_file: ContextVar[bool] = ContextVar("from_file", default=False)
+_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
+
+
+@contextmanager
+def names_from_file() -> Iterator[None]:
+    """Import no module, while the block runs, because a file names it; also a decorator."""
+    token = _from_file.set(True)
+    try:
+        yield
+    finally:
+        _from_file.reset(token)
+
+
+@contextmanager
+def trusted_files() -> Iterator[None]:
+    """Import the modules that files name all the same, while the block runs."""
+    token = _trusted.set(True)
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
+
+
+@contextmanager
+def _folder_on_path() -> Iterator[None]:
+    """Find modules in the current folder as `python -m` does, but behind everything that is installed."""
+    here = os.getcwd()
+    if here in sys.path or "" in sys.path:
+        yield
+        return
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            sys.path.remove(here)
 
 
 @dataclass(frozen=True)
@@ -93,10 +135,12 @@ class ByName(Spread):
 
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.append(os.getcwd())  # as `python -m` does, but behind everything that is installed
+    if module not in sys.modules and _from_file.get() and not _trusted.get():
+        refuse(field.name, value, "is named by a file and would run the code of that module",
+               f"if you trust it, import {module} before, or write 'warpcrete --trust ...'")  # fmt: skip
     try:
-        found = getattr(importlib.import_module(module), name, None)
+        with _folder_on_path():
+            found = getattr(importlib.import_module(module), name, None)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error

@@ -18,8 +18,8 @@ from .text_files import saved_json
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a disk, a quota or a limit of the process that takes no more."""
-PARTIAL = "partial-"
-"""Begins the name of a file that is not whole yet."""
+PARTIAL = ".warpcrete-partial-"
+"""Begins the name of a file that is not whole yet; nobody else names files like this."""
 PROBE = 1 << 16
 """Bytes that must fit into a folder that has room."""
 MARGIN = 1 << 20

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping
+from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,9 @@ def _feed(digest: Any, value: Any) -> None:
         for item in value:
             _feed(digest, item)
     elif isinstance(value, int | float | np.integer | np.floating):
-        digest.update(float(value).hex().encode())
+        digest.update(_number(value))
+    elif isinstance(value, type | FunctionType | BuiltinFunctionType):
+        digest.update(_named(value))
     elif isinstance(value, str | None):
         digest.update(repr(value).encode())
     elif hasattr(value, "vertices") and hasattr(value, "faces"):  # a mesh of trimesh, whose parts refer to each other
@@ -48,6 +51,21 @@ def _feed(digest: Any, value: Any) -> None:
         _feed(digest, {k: v for k, v in vars(value).items() if not k.startswith("_")})
 
 
+def _number(value: Any) -> bytes:
+    """Return a number exactly; a whole one as a float where that holds it, as 1 and 1.0 are equal."""
+    if isinstance(value, int | np.integer):
+        try:
+            if int(float(value)) != int(value):
+                return f"i{int(value):x}".encode()
+        except OverflowError:
+            return f"i{int(value):x}".encode()
+    return float(value).hex().encode()
+
+
 def _name(value: Any) -> bytes:
     """Return the full name of a value's type: laws of two modules may share a class name."""
-    return f"{type(value).__module__}.{type(value).__qualname__}".encode()
+    return _named(type(value))
+
+
+def _named(value: Any) -> bytes:
+    return f"{value.__module__}.{value.__qualname__}".encode()

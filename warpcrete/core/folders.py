@@ -103,8 +103,11 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Hold a folder that is there while the block runs."""
+def held(folder: Path, record: str) -> Iterator[None]:
+    """Hold a folder that is there while the block runs; raises :class:`RunFolderError` for one without its record."""
+    if not (folder / record).is_file():
+        missing = f"holds no {record}" if folder.is_dir() else "is no folder"
+        raise RunFolderError(f"'{folder}': {missing}; give the folder of the run that is to go on")
     hold = Hold(folder)
     try:
         yield

@@ -263,14 +263,18 @@ class Simulation:
     # The run.
 
     def begin(self, path: Path | None = None) -> None:
-        """Do everything up to t = 0, or up to the checkpoint at `path`, once recorders have their folders."""
-        self.goes_on = path is not None
+        """Do everything up to t = 0, or up to the checkpoint at `path` if it is there, once recorders have folders.
+
+        Only then no other run can add the checkpoint, or remove it.
+        """
+        self.goes_on = path is not None and path.is_file()
         try:
             self.claim()
-            if path is None:
-                self.prepare()
-            else:
+            self.goes_on = path is not None and path.is_file()
+            if path is not None and self.goes_on:
                 self.resume(path)
+            else:
+                self.prepare()
         except BaseException as error:
             self.abandon(refused=isinstance(error, SceneError))
             raise

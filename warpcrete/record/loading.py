@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.by_name import names_from_file
 from ..core.errors import RunFolderError, SceneError
 from ..core.files import read_json
 from ..core.origin import changed_files, check_files
@@ -62,6 +63,7 @@ def is_finished(folder: Path) -> bool:
     return result.is_file() and not (folder / "checkpoint.npz").is_file() and bool(read_json(result).get("finished"))
 
 
+@names_from_file()
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Contents of a scene.json, and the module of its scene."""
     record = read_json(path)
@@ -82,9 +84,8 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     by hand, or that reads files that have changed since.
     """
     _check_unchanged(path, read_json(path))
-    record, module = saved_scene(path, known)
-    check_files(path, record.get("files", {}))
-    return record, module
+    check_files(path, read_json(path).get("files", {}))  # before any of them is imported
+    return saved_scene(path, known)
 
 
 def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:

@@ -60,14 +60,15 @@ def recorders_of(
     command: dict[str, Any] | None = None,
     *,
     going_on: bool = False,
+    again: bool = False,
 ) -> list[Recorder]:
     """Recorders of a run folder: table, checks and picture always, of the others those with a true entry in `chosen`.
 
     `check` is the scene's; `command` are settings to keep for a resumed run; `going_on` takes the folder of the same
-    run, which was cut.
+    run, which was cut, and `again` only if it holds the record of this very run.
     """
     look = look or Look()
-    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on), CheckRecorder(check)]
+    found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again), CheckRecorder(check)]
     found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):
         found.append(

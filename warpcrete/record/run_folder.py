@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import csv
+import json
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
-from ..core.files import cannot_write, whole_file, write_json
+from ..core.errors import RunFolderError
+from ..core.files import cannot_write, read_json, whole_file, write_json
 from ..core.folders import Hold, make_folder
 from ..core.origin import Arguments, changed_fields, readable
 from ..core.provenance import provenance
 from ..core.run import Table
 from ..core.run_loop import Recorder, Run, Simulation
+from .loading import is_finished
 
 
 def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -41,13 +44,16 @@ class TableRecorder(Recorder):
     and at the end.
 
     Rows are flushed as they come, so an interrupted or killed run keeps all that it sampled. `command` are settings
-    to keep in scene.json for a resumed run. With `going_on` the folder is that of the same run, which was cut.
+    to keep in scene.json for a resumed run. With `going_on` the folder is that of the same run, which was cut; with
+    `again` it must hold the record of this very run.
     """
 
     rows_alone = True
 
-    def __init__(self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False) -> None:
-        self.folder, self.command, self.going_on = folder, command, going_on
+    def __init__(
+        self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False, again: bool = False
+    ) -> None:
+        self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
         self._hold: Hold | None = None
         self._file: TextIO | None = None
         self._writer: Any = None
@@ -60,12 +66,23 @@ class TableRecorder(Recorder):
         """Make the folder with scene.json, or take over that of the run that was cut; hold it."""
         if self._hold is not None:
             return
-        if (self.going_on or simulation.goes_on) and self.folder.is_dir():
-            self._hold = Hold(self.folder)
-            return
         record = scene_record(simulation, self.command)
-        self._hold = make_folder(self.folder)
-        write_json(self.folder / "scene.json", record)
+        path = self.folder / "scene.json"
+        if (self.going_on or simulation.goes_on) and path.is_file():
+            self._hold = Hold(self.folder)
+            # What another run did until now counts.
+            if is_finished(self.folder):
+                raise RunFolderError(
+                    f"out = '{self.folder}': exists already, and that run is finished; choose a new folder (runs are "
+                    "never overwritten)"
+                )
+            if self.again and path.is_file():
+                _check_same_run(path, record)
+            if simulation.goes_on or (self.folder / "checkpoint.npz").is_file():
+                return
+        else:
+            self._hold = make_folder(self.folder)
+        write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
         """Remove the folder if it is new and holds no state that the run could go on from."""
@@ -137,6 +154,17 @@ class TableRecorder(Recorder):
         if self._hold is not None:
             self._hold.release()
             self._hold = None
+
+
+def _check_same_run(path: Path, record: dict[str, Any]) -> None:
+    """Refuse the scene.json of another run than that of `record`."""
+    there, here = read_json(path), json.loads(json.dumps(record))
+    for name in ("scene", "parameters", "files", "device", "precision", "command"):
+        if there.get(name) != here[name]:
+            raise RunFolderError(
+                f"out = '{path.parent}': exists already, with another run (its {name} differs); choose a new folder, "
+                f"or go on with that run: warpcrete run --resume {path.parent}"
+            )
 
 
 def _write_table(path: Path, table: Table) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..core.by_name import names_from_file
 from ..core.errors import RunFolderError, refuse
 from ..core.files import read_json
 from ..core.parameters import declared_fields
@@ -129,7 +130,9 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
     """Parameters that differ from those of the trade's scene, in words."""
     # As the scene takes them: a letter for a unit is its name.
-    ours, theirs = (module.scene.declared(each) for each in (own, measured))
+    ours = module.scene.declared(own)
+    with names_from_file():
+        theirs = module.scene.declared(measured)
     found = []
     for name in declared_fields(module.scene.parameters):
         here, there = getattr(ours, name), getattr(theirs, name)

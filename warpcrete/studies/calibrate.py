@@ -114,7 +114,7 @@ def resume_calibration(
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
         _check_trials(trials)
-    with held(folder):
+    with held(folder, RECORD):
         record = _record(folder)
         if trials is not None:
             record["settings"]["trials"] = trials

@@ -66,7 +66,7 @@ def resume_reproduction(
     folder: Path, *, processes: int | None = None, progress: Progress | None = None
 ) -> Reproduction:
     """Go on with a reproduction: runs that are finished are used."""
-    with held(folder):
+    with held(folder, RECORD):
         return _go_on(folder, processes, progress)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from ..core.device import default_threads
 from ..core.errors import WarpcreteError
 from ..core.files import read_json
-from ..core.folders import held
+from ..core.folders import Hold
 from ..core.interrupts import StopAtSample
 from ..core.origin import check_files
 from ..core.run_loop import Run
@@ -191,6 +191,9 @@ def kept(folder: Path) -> Any:
     """The same; a case that was cut before its first checkpoint is cleared away."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
-        with held(folder):
+        hold = Hold(folder)
+        try:
             shutil.rmtree(folder)
+        finally:
+            hold.release()
     return found

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.by_name import names_from_file
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
 from ..core.files import check_new, read_json, whole_file, write_json
@@ -311,7 +312,7 @@ def resume_study(
     check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
     device = unnumbered(record.get("device"))
-    with held(folder), open_cluster(scheduler, workers, device) as cluster:
+    with held(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
 
 
@@ -349,6 +350,7 @@ def _go_on(
     return study
 
 
+@names_from_file()
 def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
     """A study's record, and the study before any case is looked at."""
     record = read_json(folder / "study.json")

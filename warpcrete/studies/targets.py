@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..core.amounts import UNITS, amount
+from ..core.by_name import names_from_file
 from ..core.concretes import concrete, is_file
 from ..core.errors import SceneError, known_names, refuse, suggested
 from ..core.method import Quantity
@@ -141,6 +142,7 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
     return task, raw
 
 
+@names_from_file()
 def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
     """The task of a mapping such as :func:`read_task` reads; files in it are meant from `folder`."""
     for key in raw:

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.by_name import names_from_file
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
 from ..core.files import check_new, next_folder, read_json, write_json
@@ -169,8 +170,10 @@ def resume_trade(
     """
     check_scheduler(scheduler, workers)
     record = read_json(folder / "trade.json")
+    check_files(folder / "trade.json", record.get("files", {}))  # before any of them is imported
     try:
-        trade = Trade(folder, module, record)
+        with names_from_file():
+            trade = Trade(folder, module, record)
         version = record["provenance"]["warpcrete"]
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
@@ -178,14 +181,13 @@ def resume_trade(
     if version != now:
         raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
     positive("budget", budget, "s")
-    check_files(folder / "trade.json", record.get("files", {}))
     check_limit("budget", budget, "s")
     if scheduler is None:
         find_device(trade.device)
     # Of GPUs all that there are, as with a study.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
-    with held(folder), open_cluster(scheduler, workers, device, trade.threads) as cluster:
+    with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(f"'{folder}': holds times of {trade.hardware}, workers have {here}; they do not mix")
         return _go_on(trade, budget, cluster, progress)
