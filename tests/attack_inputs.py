@@ -129,9 +129,7 @@ def prepared(attack: Attack, folder: Path, made: Path) -> None:
 
 def listed(folder: Path) -> dict[str, bytes | None]:
     """Return every file below a folder with its content."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")
-    }
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
 def faults(attack: Attack, code: int | str, out: str, err: str, spent: float, new: list[str]) -> list[str]:
@@ -197,7 +195,9 @@ def run(chosen: list[str]) -> int:
             count[0] += 1
             count[1] += bool(wrong)
             if wrong or verbose:
-                print(f"{'WRONG' if wrong else 'ok'} {label!r:.150}\n   {'; '.join(wrong)}\n   {said!r:.700}", flush=True)
+                print(
+                    f"{'WRONG' if wrong else 'ok'} {label!r:.150}\n   {'; '.join(wrong)}\n   {said!r:.700}", flush=True
+                )
     print(f"\n{'inputs of':24s} {'tried':>6s} {'wrong':>6s}")
     for kind, (count, bad) in counts.items():
         print(f"{kind:24s} {count:6d} {bad:6d}")
