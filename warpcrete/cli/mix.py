@@ -18,6 +18,7 @@ def run(name: str, out: Path | None) -> None:
     if out is not None and (out.exists() or out.suffix not in (".yaml", ".yml")):
         refuse("out", str(out), "must be a new .yaml file")
     mix = read_mix(name)
+    concrete = plain(name, mix)
     click.echo(f"{mix.name}{f' ({mix.source})' if mix.source else ''}\n")
     click.echo(mix.table())
     for remark in mix.remarks:
@@ -26,7 +27,7 @@ def run(name: str, out: Path | None) -> None:
     click.echo(f"a cone of it by elements: {_cone(mix)}")
     if out is not None:
         with whole_file(out) as partial:
-            partial.write_text(yaml_text(plain(name, mix)), encoding="utf-8")
+            partial.write_text(yaml_text(concrete), encoding="utf-8")
         click.echo(f"written: {out}")
 
 

@@ -10,7 +10,7 @@ import click
 
 from ..core.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
-from ..core.files import next_folder, read_json
+from ..core.files import next_folder, read_record
 from ..core.parameters import Alias, Field, Spread
 from ..core.progress import ProgressBar
 from ..record.recorders import RECORDERS
@@ -143,7 +143,7 @@ def _resumed(
         raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
     if not (folder / "study.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no study's folder (it holds no study.json)")
-    name = read_json(folder / "study.json").get("scene")
+    name = read_record(folder / "study.json").get("scene")
     if name not in modules:
         raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
     return resume_study(folder, modules[name], progress=tell, **_where(settings))

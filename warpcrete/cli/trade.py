@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..core.errors import RunFolderError
-from ..core.files import next_folder, read_json
+from ..core.files import next_folder, read_record
 from ..core.progress import ProgressBar
 from ..studies.trade import resume_trade, run_trade
 from ..studies.trade_report import table
@@ -79,7 +79,7 @@ def _resumed(
         )
     if not (folder / "trade.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no trade's folder (it holds no trade.json)")
-    name = read_json(folder / "trade.json").get("scene")
+    name = read_record(folder / "trade.json").get("scene")
     if name not in modules:
         raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
     return resume_trade(folder, modules[name], **anew)

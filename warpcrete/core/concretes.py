@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from .errors import known_names, refuse, suggested
+from .errors import known_names, one_line, refuse, suggested
 from .text_files import name_of, read_mapping, within
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "concretes"
@@ -90,7 +90,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         if key not in KEYS:
             with within(given, key):
                 refuse("concrete", str(path), f"has the key {key!r}", known_names(key, KEYS))
-    texts = {key: str(given[key]) for key in TEXTS if given.get(key) is not None}
+    texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
     sections = {}
     for section in SECTIONS:
         found = given.get(section) or {}

@@ -9,11 +9,11 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from .errors import DiskFullError, RunFolderError
+from .errors import DiskFullError, RunFolderError, quoted
 from .text_files import saved_json
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -102,6 +102,36 @@ def _finite(data: Any) -> Any:
 def read_json(path: Path) -> dict[str, Any]:
     """Contents of a JSON file that holds an object, or :class:`RunFolderError`."""
     return saved_json(path)
+
+
+RECORD_KINDS: dict[str, type] = {
+    "scene": str, "parameters": dict, "files": dict, "device": str, "precision": str, "command": dict, "modified": dict,
+    "threads": int, "cases": list, "name": str, "varied": dict, "quantities": list, "knobs": list, "repeat": int,
+    "provenance": dict, "finest": dict, "points": list, "paper": str, "columns": list, "rows": list, "targets": dict,
+    "settings": dict, "rounds": list,
+}  # fmt: skip
+"""Kinds of the entries of a record of what was asked for: of a run, a study, a trade, a calibration or a reproduction."""
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return what :func:`read_json` does, or raise :class:`RunFolderError` for an entry of another kind."""
+    record = read_json(path)
+    cases = record.get("cases")
+    within = [record, record.get("command"), *(cases if isinstance(cases, list) else [])]
+    for place, part in enumerate(within):
+        if not isinstance(part, dict):
+            if place == 1 and "command" not in record:
+                continue
+            _refuse_entry(path, "command" if place == 1 else "cases", part)
+        for name, kind in RECORD_KINDS.items():
+            if name in part and not isinstance(part[name], kind):
+                _refuse_entry(path, name, part[name])
+    return record
+
+
+def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
+    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; put a copy of the file back, or "
+                         "begin anew")  # fmt: skip
 
 
 def check_new(folder: Path) -> None:

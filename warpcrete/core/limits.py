@@ -61,6 +61,7 @@ LIMITS = {
                             "Pa s/m"),
     "slip_yield": Limit(1e-6, 1e9, "slip layers have 0 to 500 Pa", (1e-3, 1e5), "Pa"),
     "length": Limit(1e-4, 1e4, "the longest pumping lines are 2000 m", None, "m"),
+    "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
     "size_max": Limit(1e-5, 1.0, "stones of concrete have 4 to 63 mm", (1e-4, 0.3), "m"),
     "size_min": Limit(1e-6, 1.0, "stones of concrete have 4 to 63 mm", (1e-5, 0.3), "m"),
     "pressure": Limit(1e-9, 1e9, "the strongest concrete pumps reach 5e7 Pa, 500 bar", (1.0, 1e8), "Pa"),
@@ -72,6 +73,8 @@ LIMITS = {
     "time_step": Limit(1e-12, 1e3, "steps are 1e-7 to 0.02 s", None, "s"),
     "sample_interval": Limit(1e-9, 1e6, "rows are 0.001 to 1 s apart", None, "s"),
     "regularisation": Limit(1e-9, 1e12, "it is 100 to 1e5 s", None, "s"),
+    "slump": Limit(1e-5, 3.0, "the cone is 0.3 m high", (1e-4, 0.3), "m"),
+    "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
 """Limits by the name of a quantity, and by its unit for all others."""

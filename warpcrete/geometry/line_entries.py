@@ -40,7 +40,13 @@ PARTS = {
     },
 }
 """Kinds of parts, and the entries of each with their units and meaning; a part without keys states the first."""
-LIMITED_AS = {"largest_stone": "size_max", "recorded": "pressure", "to": "diameter", "outlet": "diameter"}
+LIMITED_AS = {
+    "largest_stone": "size_max",
+    "recorded": "pressure",
+    "to": "diameter",
+    "outlet": "diameter",
+    "radius": "bend_radius",
+}
 """Names of quantities whose limits hold for entries of another name."""
 MOST_PARTS, MOST_POINTS = 2000, 500
 """Parts of a line and points of a hose; the longest lines that were pumped have some hundred parts."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..core.amounts import amount
 from ..core.concretes import is_file
-from ..core.errors import one_of, positive, refuse, suggested
-from ..core.limits import check_limit, check_velocity
+from ..core.errors import one_line, one_of, positive, refuse, suggested
+from ..core.limits import check_limit, check_velocity, warn
 from ..core.text_files import name_of, read_mapping, within
 from .axis import Arc, Axis, Line
 from .bores import Bores
@@ -34,6 +34,8 @@ mm at 30 m3/h (the most of three concretes); a hose is counted by it."""
 ASKEW = 20.0
 """Angle between the line and where a hose's points begin to lead, up to which it is taken to begin along the line
 [degrees]."""
+LAYERS = (0.1, 10.0)
+"""Resistance of a hose's slip layer over that of a pipe, outside which it is warned of."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 PLACES = {"bend": 9, "hose": 33, "bore": 33}
@@ -223,12 +225,12 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
             check_velocity("flow", flow, 4 * flow / (math.pi * narrow**2))
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
     line = PipeLine(
-        name=str(given.get("name", name)),
+        name=_text(given, "name", name),
         parts=tuple(course.parts),
         axis=axis,
         flow=flow,
         concrete=str(given["concrete"]) if "concrete" in given else None,
-        source=str(given.get("source", "")),
+        source=_text(given, "source", ""),
         recorded=recorded,
     )
     check_crossing(line)
@@ -242,6 +244,15 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
             refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
                    f"{part.narrow:.6g} m", "take a wider pipe or a smaller stone")  # fmt: skip
     return replace(line, largest_stone=stone)
+
+
+def _text(given: Mapping[str, Any], field: str, default: str) -> str:
+    """Return a text without characters that a terminal would obey, or the default where there is none."""
+    found = given.get(field, default)
+    if isinstance(found, Mapping | list):
+        with within(given, field):
+            refuse(field, found, "must be a text of one line", "put it into quotes")
+    return one_line(str(found))
 
 
 def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
@@ -357,6 +368,9 @@ class _Course:
             refuse(f"{field}: points", given, "must be half a diameter apart, at least")
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
         positive(f"{field}: layer", layer, "")
+        if not LAYERS[0] <= layer <= LAYERS[1]:
+            warn(f"{field}: layer = {layer:g}: is unlikely: a hose resists {LAYERS[0]:g} to {LAYERS[1]:g} times as much as "
+                 "a pipe; '80 %' has its unit")  # fmt: skip
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(begins(points) @ self.tangent, -1, 1))))
         if askew > ASKEW:

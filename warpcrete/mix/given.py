@@ -328,6 +328,7 @@ def _layer(given: Any, folder: Path) -> Layer:
                 refuse(f"mix layer: {key}", None, "must be given, that of the pipe of the points", "as '125 mm'")
             found[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", found[key], "m")
+            check_limit(f"mix layer: {key}", found[key], "m", key)
         found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
         between("mix layer: rise", found["rise"], -found["length"], found["length"], "m", "what the pipe gains in it")
         return Layer(pumped=_pairs("layer: points", given["points"], PUMPED, folder), **found)

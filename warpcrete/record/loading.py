@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.by_name import names_from_file
 from ..core.errors import RunFolderError, SceneError
-from ..core.files import read_json
+from ..core.files import read_json, read_record
 from ..core.origin import changed_files, check_files
 from ..core.run import Run, Table
 from ..core.text_files import saved_text
@@ -41,7 +41,7 @@ def load(folder: Path | str) -> Run:
             f"'{folder}': " + ("is no folder" if not folder.is_dir() else "is no run folder (it holds no scene.json)")
             + (f"; runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
-    record = read_json(folder / "scene.json")
+    record = read_record(folder / "scene.json")
     scene: Any = SimpleNamespace(name=record.get("scene"), parameters=record.get("parameters"))
     if "modified" in record:
         scene.modified = record["modified"]
@@ -66,7 +66,7 @@ def is_finished(folder: Path) -> bool:
 @names_from_file()
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Contents of a scene.json, and the module of its scene."""
-    record = read_json(path)
+    record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
     module = known[record["scene"]]
@@ -83,8 +83,9 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     Raises :class:`RunFolderError` for the record of a scene that was changed after its function had made it, or built
     by hand, or that reads files that have changed since.
     """
-    _check_unchanged(path, read_json(path))
-    check_files(path, read_json(path).get("files", {}))  # before any of them is imported
+    record = read_record(path)
+    _check_unchanged(path, record)
+    check_files(path, record.get("files", {}))  # before any of them is imported
     return saved_scene(path, known)
 
 

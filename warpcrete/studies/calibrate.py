@@ -18,7 +18,7 @@ import numpy as np
 from ..core.device import find_device
 from ..core.errors import RunFolderError, WarpcreteError, between, refuse
 from ..core.extras import needs_extra
-from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.files import check_new, next_folder, read_record, write_json
 from ..core.folders import held, new_folder
 from ..core.origin import check_files, files_read
 from ..record.checks import failed_checks
@@ -128,7 +128,7 @@ def _check_trials(most: int) -> None:
 
 
 def _record(folder: Path) -> dict[str, Any]:
-    record = read_json(folder / RECORD)
+    record = read_record(folder / RECORD)
     if set(record) - {"files"} != {"targets", "settings", "rounds"}:
         raise RunFolderError(f"'{folder / RECORD}': holds no calibration")
     check_files(folder / RECORD, record.get("files", {}))

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.device import find_device
 from ..core.errors import RunFolderError, one_of, refuse
-from ..core.files import read_json, write_json
+from ..core.files import read_json, read_record, write_json
 from ..core.folders import held, new_folder
 from ..scenes import modules
 from .cases import MOST_CASES, Case
@@ -71,7 +71,9 @@ def resume_reproduction(
 
 
 def _go_on(folder: Path, processes: int | None, progress: Progress | None) -> Reproduction:
-    record = read_json(folder / RECORD)
+    record = read_record(folder / RECORD)
+    if not {"paper", "quick", "seeds", "device"} <= set(record) or record["paper"] not in ("zhan", "xu"):
+        raise RunFolderError(f"'{folder / RECORD}': holds no reproduction")
     found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
                          tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip
     if (folder / KNOWN).is_file():
@@ -117,7 +119,7 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     """Results of an earlier reproduction of the same kind; what failed is run again."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
         raise RunFolderError(f"known = '{folder}': holds no results of a reproduction")
-    record = read_json(folder / RECORD)
+    record = read_record(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
         refuse("known", str(folder), f"is of {record.get('paper')}{', quick' if record.get('quick') else ''}",
                f"take one of {paper}{', quick' if quick else ''}")  # fmt: skip

@@ -19,7 +19,7 @@ import numpy as np
 from ..core.by_name import names_from_file
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
-from ..core.files import check_new, read_json, whole_file, write_json
+from ..core.files import check_new, read_record, whole_file, write_json
 from ..core.folders import held, new_folder
 from ..core.html import html_table
 from ..core.limits import check_limit
@@ -308,7 +308,7 @@ def resume_study(
     It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
     """
     check_scheduler(scheduler, workers, processes)
-    record = read_json(folder / "study.json")
+    record = read_record(folder / "study.json")
     check_files(folder / "study.json", record.get("files", {}))
     # Of GPUs all that there are: which one a study had says little of where it goes on.
     device = unnumbered(record.get("device"))
@@ -353,7 +353,7 @@ def _go_on(
 @names_from_file()
 def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
     """A study's record, and the study before any case is looked at."""
-    record = read_json(folder / "study.json")
+    record = read_record(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
         missing = {"scene", "command", "device", "precision"} - set(record)
@@ -371,7 +371,7 @@ def load_study(folder: Path) -> Study:
 
     Raises :class:`RunFolderError` for one that is none of this version's.
     """
-    name, known = read_json(folder / "study.json").get("scene"), modules()
+    name, known = read_record(folder / "study.json").get("scene"), modules()
     if name not in list(known):
         raise RunFolderError(f"'{folder / 'study.json'}': names no scene of this version ({', '.join(known)})")
     _, study = _opened(folder, known[name])

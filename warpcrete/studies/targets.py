@@ -17,6 +17,7 @@ from ..core.amounts import UNITS, amount
 from ..core.by_name import names_from_file
 from ..core.concretes import concrete, is_file
 from ..core.errors import SceneError, known_names, refuse, suggested
+from ..core.limits import check_limit
 from ..core.method import Quantity
 from ..core.parameters import Field, FileIf, declared_fields
 from ..core.text_files import read_mapping, within
@@ -296,8 +297,12 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
     if target.quantity not in known:
         refuse("quantity", target.quantity, f"is not measured in {target.scene}",
                known_names(target.quantity, known))  # fmt: skip
+    unit = known[target.quantity].unit
+    if unit in ("m", "s") and target.value < 0:
+        refuse(f"{target.quantity} of {target.scene}", target.value, f"must not be below 0 {unit}")
+    check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
     return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
-                  target.held_out, known[target.quantity].unit)  # fmt: skip
+                  target.held_out, unit)  # fmt: skip
 
 
 def _agree(targets: Sequence[Target]) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 from ..core.by_name import names_from_file
 from ..core.device import default_threads, find_device
 from ..core.errors import RunFolderError, between, positive, refuse
-from ..core.files import check_new, next_folder, read_json, write_json
+from ..core.files import check_new, next_folder, read_json, read_record, write_json
 from ..core.folders import held, new_folder
 from ..core.limits import check_limit
 from ..core.origin import check_files, check_named
@@ -169,12 +169,14 @@ def resume_trade(
     It may go on with another `scheduler`, or without one, on the same kind of GPU or CPU.
     """
     check_scheduler(scheduler, workers)
-    record = read_json(folder / "trade.json")
+    record = read_record(folder / "trade.json")
     check_files(folder / "trade.json", record.get("files", {}))  # before any of them is imported
     try:
         with names_from_file():
             trade = Trade(folder, module, record)
         version = record["provenance"]["warpcrete"]
+        if not trade.quantities:
+            raise KeyError("quantities")
     except (KeyError, TypeError) as error:
         raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
     now = versions()["warpcrete"]
