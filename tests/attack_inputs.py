@@ -1,7 +1,7 @@
 """Attack every command with inputs that are wrong, odd or damaged.
 
-By hand: python tests/attack_inputs.py [WORD ...]; words choose the inputs whose label holds one of them. Each input runs
-in this process, in a folder of its own, as a user types it. It must end within ten seconds with the exit code that its
+By hand: python tests/attack_inputs.py [WORD ...]; words choose the inputs whose label holds one of them. Each input
+runs in this process, in a folder of its own, as a user types it. It must end within ten seconds with the exit code that its
 table states, with one line that begins with "error:" where it is refused, without any line but warnings and notes
 beside it, and without a file that was not there before.
 """
@@ -59,7 +59,7 @@ def streams() -> Iterator[list[str]]:
     """Collect all that is written to stdout and stderr, also by libraries; the list holds both at the end."""
     found: list[str] = []
     kept = [os.dup(number) for number in (1, 2)]
-    files = [tempfile.TemporaryFile(dir="/dev/shm") for _ in kept]
+    files = [tempfile.TemporaryFile(dir="/dev/shm") for _ in kept]  # noqa: SIM115
     old = sys.stdout, sys.stderr
     old[0].flush()
     for number, file in zip((1, 2), files):

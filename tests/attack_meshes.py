@@ -81,9 +81,9 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     """Write pipes as a CAD user draws them, in mm; return the ways in which each must work (other ways may)."""
     folder.mkdir(parents=True, exist_ok=True)
     elbow = Axis((0, 0, 0), (1, 0, 0), (Line(0.1), Arc(0.25, np.pi / 2, (0, 1, 0)), Line(0.1)))
-    s_bend = Axis(
-        (0, 0, 0), (1, 0, 0), (Arc(0.25, np.pi / 4, (0, 1, 0)), Arc(0.25, np.pi / 4, (0.7071068, -0.7071068, 0)))
-    )
+    half = np.sqrt(0.5)
+    arcs = (Arc(0.25, np.pi / 4, (0, 1, 0)), Arc(0.25, np.pi / 4, (half, -half, 0)))
+    s_bend = Axis((0, 0, 0), (1, 0, 0), arcs)
 
     def swept(name: str, axis: Axis, **more: Any) -> trimesh.Trimesh:
         mesh = trimesh.load_mesh(bent(folder / name, axis, **more))
@@ -110,9 +110,8 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     straight = Axis((0, 0, 0), (1, 0, 0), (Line(0.4),))
     swept("square.stl", straight, wall=0.006, square=True)
     swept("off_centre_skin.stl", straight, wall=0.02, aside=0.01)
-    hexagon = trimesh.creation.cylinder(70, 400, sections=6).difference(trimesh.creation.cylinder(50, 420, sections=64), engine="manifold") \
-        if "manifold" in trimesh.boolean.available_engines else ring(70, 50, 200, 400)  # fmt: skip
-    hexagon.export(folder / "hexagon_upright.stl")
+    joined(ring(80, 55, 200, 400, 6), ring(55, 50, 200, 400)).export(folder / "hexagon.stl")
+    ring(80, 50, 200, 400, 6).export(folder / "hexagonal_bore.stl")
     tube(folder / "reducer.stl", [0.05, 0.05, 0.04, 0.04], length=0.4)
     eccentric = trimesh.load_mesh(folder / "reducer.stl")
     vertices = eccentric.vertices.copy()
@@ -133,8 +132,11 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     keep = ~((np.abs(run.triangles_center[:, 0] - 200) < 210) & (run.triangles_center[:, 2] > 30))
     run.update_faces(keep)
     joined(run, branch).export(folder / "tee.stl")
-    return {"elbow": ("part", "pipe"), "elbow_flange": ("part",), "s_bend": ("part",), "elbow_open": ("part", "pipe", "bore"),
-            "elbow_inverted": ("part",), "two_shells": ("part",), "square": ("part", "bore"), "off_centre_skin": ("part",)}  # fmt: skip
+    both, all_ways = ("part", "pipe"), ("part", "pipe", "bore")
+    return {
+        "elbow": both, "elbow_flange": both, "s_bend": ("part",), "elbow_open": all_ways, "elbow_inverted": both,
+        "two_shells": both, "square": all_ways, "off_centre_skin": all_ways,
+    }  # fmt: skip
 
 
 def main(folder: Path, cad: Path | None) -> int:

@@ -45,7 +45,7 @@ def test_names_in_files_hold_nothing_that_a_terminal_obeys():
     line = {"diameter": 0.125, "parts": [{"straight": 1}]}
     assert line_of(line | {"name": "a\x1b[2J\nb"}).name == "a\\x1b[2J b"
     for name in ({"a": 1}, ["a"]):
-        with pytest.raises(SceneError, match="name = .*: must be a text of one line"):
+        with pytest.raises(SceneError, match=r"name = .*: must be a text of one line"):
             line_of(line | {"name": name})
 
 

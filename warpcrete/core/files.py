@@ -110,7 +110,7 @@ RECORD_KINDS: dict[str, type] = {
     "provenance": dict, "finest": dict, "points": list, "paper": str, "columns": list, "rows": list, "targets": dict,
     "settings": dict, "rounds": list,
 }  # fmt: skip
-"""Kinds of the entries of a record of what was asked for: of a run, a study, a trade, a calibration or a reproduction."""
+"""Kinds of the entries of a record of what was asked for: a run, a study, a trade, a calibration or a reproduction."""
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -130,8 +130,8 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
-    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; put a copy of the file back, or "
-                         "begin anew")  # fmt: skip
+    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; put a copy of the file "
+                         "back, or begin anew")  # fmt: skip
 
 
 def check_new(folder: Path) -> None:

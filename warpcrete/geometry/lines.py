@@ -369,8 +369,8 @@ class _Course:
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
         positive(f"{field}: layer", layer, "")
         if not LAYERS[0] <= layer <= LAYERS[1]:
-            warn(f"{field}: layer = {layer:g}: is unlikely: a hose resists {LAYERS[0]:g} to {LAYERS[1]:g} times as much as "
-                 "a pipe; '80 %' has its unit")  # fmt: skip
+            warn(f"{field}: layer = {layer:g}: is unlikely: a hose resists {LAYERS[0]:g} to {LAYERS[1]:g} times as "
+                 "much as a pipe; '80 %' has its unit")  # fmt: skip
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(begins(points) @ self.tangent, -1, 1))))
         if askew > ASKEW:
