@@ -167,6 +167,7 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
         (lambda: scenes.pipe(bonds="no"), "bonds = 'no': must be True or False"),
         (lambda: scenes.pipe(seed=1.5), "seed = 1.5: must be a whole number"),
         (lambda: scenes.pipe(diametre=0.1), "parameter = 'diametre': is none of scene pipe; did you mean 'diameter'"),
+        (lambda: scenes.slump_dem(nonsense=1), "parameter = 'nonsense': is none of scene slump-dem; known are"),
         (lambda: ball(sizes=[1.0, 2.0]), "sizes = .*must be one number or 1 numbers"),
         (lambda: ball(positions="here"), "positions = 'here'"),
         (lambda: ball(orientations=np.array([[0, 2.0, 0, 2.0]])), "must be unit quaternions"),

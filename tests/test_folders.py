@@ -172,6 +172,14 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
         again.begin(folder / "checkpoint.npz")
 
 
+def test_a_run_that_never_began_leaves_an_empty_folder_empty(tmp_path):
+    begun = flow(tmp_path)
+    begun.claim()
+    assert (tmp_path / "scene.json").is_file()
+    begun.abandon()
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole):
     """Whether the second begins or resumes; by command it is one line and exit code 2."""
     monkeypatch.setattr(folders, "GRACE", 0.0)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.theory import fields as theory_fields
-from warpcrete.core.amounts import UNITS, amount
+from warpcrete.core.amounts import UNITS, amount, bare_number
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
 from warpcrete.core.limits import LIMITS, check_limit, limit_of
 from warpcrete.core.parameters import Above, Within, declared_fields
@@ -321,3 +321,14 @@ def test_the_command_says_it_in_one_line(words, tmp_path):
     else:
         assert done.returncode == 2 and line.startswith("error: diameter = 125.0: is impossible") and "125 mm?" in line
     assert not list(tmp_path.iterdir())
+
+
+def test_a_long_text_is_no_amount():
+    """To look for a number in it would take the cube of its length."""
+    for text in ("1" + " " * 2000 + "x\n", " " * 2000 + "1"):
+        with pytest.raises(SceneError, match="must be a number with one of m, mm"):
+            amount("diameter", text, "m")
+        assert not bare_number(text)
+    assert amount("diameter", "  125  mm ", "m") == 0.125 and bare_number(" 1e3 ")
+    with pytest.raises(SceneError, match="must be a number without a unit, or with %"):
+        amount("share", "1 m", "1")

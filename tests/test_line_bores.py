@@ -8,7 +8,7 @@ from tubes import tube
 from warpcrete import SceneError, scenes
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
-from warpcrete.studies import line_run
+from warpcrete.studies import line_folder
 from warpcrete.studies.line_run import _case, run_line
 from warpcrete.studies.lines import line_of, read_line
 
@@ -160,7 +160,7 @@ def test_a_mesh_loses_what_the_same_shape_by_formula_does(device, tmp_path, shap
     def simulated(*scene, **settings):
         raise AssertionError("is simulated again")
 
-    monkeypatch.setattr(line_run, "Simulation", simulated)
+    monkeypatch.setattr(line_folder, "Simulation", simulated)
     tube(tmp_path / "valve.stl", [0.0625, 0.0499], lids=True)
     with pytest.raises(AssertionError, match="again"):
         run_line(line_of(given, "it", tmp_path), concrete_of("no1"), FLOW, known=tmp_path / "line", **settings)

@@ -38,14 +38,23 @@ UNITS = {
 """Units that people write, by the unit in which the program has an amount, and how many of the latter each is."""
 
 
-NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
 """A number, and the unit behind it."""
+LONGEST = 100
+"""Characters of a number with its unit."""
+
+
+def _split(given: str) -> re.Match[str] | None:
+    """Return number and unit of a text; None where it is none of an amount."""
+    return NUMBER.fullmatch(given.strip()) if len(given) <= LONGEST else None
 
 
 def bare_number(given: Any) -> bool:
     """Return whether `given` is a number, or a text of one without a unit."""
-    text = NUMBER.fullmatch(given) if isinstance(given, str) else None
-    return text is not None and not text[2] if isinstance(given, str) else isinstance(given, NUMBERS)
+    if not isinstance(given, str):
+        return isinstance(given, NUMBERS)
+    text = _split(given)
+    return text is not None and not text[2]
 
 
 def amount(field: str, given: Any, unit: str) -> float:
@@ -56,7 +65,7 @@ def amount(field: str, given: Any, unit: str) -> float:
     known = UNITS[unit]
     found, more = math.nan, ""
     if isinstance(given, str):
-        text = NUMBER.fullmatch(given)
+        text = _split(given)
         if text is not None and (not text[2] or text[2] in known):
             found = float(text[1]) * known[text[2] or unit]
         elif re.match(r"\s*[-+]?\d+,\d", given):
@@ -67,7 +76,7 @@ def amount(field: str, given: Any, unit: str) -> float:
         with suppress(OverflowError):
             found = float(given)
     if not math.isfinite(found):
-        units = ", ".join(known) if unit != "1" else "no unit, or with %"
-        refuse(field, given, f"must be a number with one of {units}{more}",
+        units = f"with one of {', '.join(known)}" if unit != "1" else "without a unit, or with %"
+        refuse(field, given, f"must be a number {units}{more}",
                f"without one it is in {unit}" if unit != "1" else "")  # fmt: skip
     return found

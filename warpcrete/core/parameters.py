@@ -293,7 +293,7 @@ class SceneFunction(Generic[P, S]):
         values = self.assembled(self.completed(given))
         for name in values:
             if name not in known:
-                refuse("parameter", name, f"is none of scene {self.module.__name__.rpartition('.')[2]}",
+                refuse("parameter", name, f"is none of scene {self.name}",
                        known_names(name, known))  # fmt: skip
         try:
             for name, value in values.items():  # each by itself, before any of them is computed with

@@ -55,6 +55,7 @@ class TableRecorder(Recorder):
     ) -> None:
         self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
         self._hold: Hold | None = None
+        self._is_new = False  # folder: it held nothing before
         self._file: TextIO | None = None
         self._writer: Any = None
 
@@ -82,11 +83,12 @@ class TableRecorder(Recorder):
                 return
         else:
             self._hold = make_folder(self.folder)
+            self._is_new = True
         write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
         """Remove the folder if it is new and holds no state that the run could go on from."""
-        if self._hold is not None and self._hold.made and not (self.folder / "checkpoint.npz").exists():
+        if self._hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
             self._hold.remove()

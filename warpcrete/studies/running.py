@@ -20,7 +20,7 @@ from ..core.text_files import saved_text
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
-from .workers import Crew, WorkerDied
+from .workers import Crew, NoWorker
 
 FAILED = "failed.txt"
 """Says in a case's folder what it failed with for good."""
@@ -126,8 +126,10 @@ def run_in_processes(
                     case = running.pop(future)
                     try:
                         outcome = future.result()
-                    except WorkerDied as died:
-                        outcome = died
+                    except NoWorker:
+                        raise
+                    except Exception as error:
+                        outcome = error
                     book(case, outcome)
             except KeyboardInterrupt:
                 crew.stop()  # those that run end at their next sample

@@ -19,7 +19,7 @@ import numpy as np
 from ..core.by_name import names_from_file
 from ..core.device import find_device
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
-from ..core.files import check_new, read_record, whole_file, write_json
+from ..core.files import check_new, is_full, read_record, whole_file, write_json
 from ..core.folders import held, new_folder
 from ..core.html import html_table
 from ..core.limits import check_limit
@@ -38,6 +38,7 @@ from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .drawing import draw
 from .running import FAILED, kept, outcome_of, run_in_processes, run_on_gpu
 from .study_table import columns_of, write_parquet
+from .workers import WorkerDied
 
 COUNTS = ("runs", "failed", "suspect")
 """Columns of a table: finished runs, runs that ended with an error, finished runs that a check does not accept."""
@@ -60,6 +61,8 @@ class Study:
     """result.json of every finished case, by name."""
     failures: dict[str, str] = field(default_factory=dict)
     """What ended a case, by name."""
+    blameless: set[str] = field(default_factory=set)
+    """Names of cases whose process died, or that a full disk ended."""
 
     def __repr__(self) -> str:
         return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
@@ -77,8 +80,9 @@ class Study:
 
     @property
     def lost(self) -> list[str]:
-        """Names of the failed cases that are not to blame themselves, as their process died: they run again."""
-        return [name for name in self.failures if not (self.folder / name / FAILED).is_file()]
+        """Names of the failed cases that are not to blame themselves, as their process died or the disk was full: they
+        run again."""
+        return [name for name in self.failures if name in self.blameless]
 
     @property
     def suspect(self) -> dict[str, list[str]]:
@@ -333,6 +337,8 @@ def _go_on(
                 study.results[case.name] = result
         elif isinstance(outcome, Exception):
             study.failures[case.name] = str(outcome) or type(outcome).__name__
+            if isinstance(outcome, WorkerDied) or is_full(outcome):
+                study.blameless.add(case.name)
             if isinstance(outcome, InstabilityError | SceneError):
                 (folder / case.name).mkdir(exist_ok=True)
                 (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")

@@ -35,6 +35,10 @@ class WorkerDied(WarpcreteError):
     """A worker process ended before its case did."""
 
 
+class NoWorker(WarpcreteError):
+    """No worker process starts at all."""
+
+
 class Crew:
     """Worker processes, started as they are needed; any thread may give them work."""
 
@@ -68,8 +72,21 @@ class Crew:
                 self._all.append(worker)
             if self.stopping:
                 worker.tell(STOP)
-        worker.wait_until_ready()
-        worker.tell(job)
+        try:
+            worker.wait_until_ready()
+        except WorkerDied as error:
+            with self._lock:
+                worker.failed = True
+                none = all(each.failed for each in self._all)
+            if none:
+                raise NoWorker(f"no worker process can be started: {error}; what it said is above") from error
+            raise
+        try:
+            worker.tell(job)
+        except Exception:  # a job that no pickle holds
+            with self._lock:
+                self._idle.append(worker)
+            raise
         found = worker.hear()
         with self._lock:
             self._idle.append(worker)
@@ -79,19 +96,22 @@ class Crew:
 class _Worker:
     def __init__(self) -> None:
         self._ready = False
+        self.failed = False
+        """It ended before it was ready."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )  # fmt: skip
         except OSError as error:
-            raise WarpcreteError(f"no worker process can be started: {error}; take processes = 1") from error
+            raise NoWorker(f"no worker process can be started: {error}; take processes = 1") from error
 
     def tell(self, message: Any) -> None:
         """Send a message; a worker that has died is found out when its answer is awaited."""
         assert self._process.stdin is not None
+        data = pickle.dumps(message)
         with suppress(OSError):
-            pickle.dump(message, self._process.stdin)
+            self._process.stdin.write(data)
             self._process.stdin.flush()
 
     def hear(self) -> Any:
@@ -107,10 +127,7 @@ class _Worker:
     def wait_until_ready(self) -> None:
         """Wait until the worker has imported what it needs."""
         if not self._ready:
-            try:
-                self._ready = self.hear() == READY
-            except WorkerDied as error:
-                raise WarpcreteError(f"no worker process can be started: {error}; what it said is above") from error
+            self._ready = self.hear() == READY
 
     def _end(self) -> str:
         code = self._process.wait()
