@@ -120,12 +120,18 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     moved = ring(54, 50, 200, 400)
     moved.apply_translation([1000, 300, 50])
     moved.export(folder / "off_origin.stl")
-    angle = np.linspace(0, np.pi, 40)
-    way = np.stack([300 * np.sin(angle), 300 * (1 - np.cos(angle)), 60 * angle], 1)
-    polygon = np.stack([50 * np.cos(np.arange(48) * np.pi / 24), 50 * np.sin(np.arange(48) * np.pi / 24)], 1)
-    import shapely
-
-    trimesh.creation.sweep_polygon(shapely.Polygon(polygon), way).export(folder / "half_helix.stl")
+    angle = np.linspace(0, np.pi, 60)
+    slope = 60 / np.hypot(300, 60)
+    flat = np.sqrt(1 - slope**2)
+    middle = np.stack([300 * np.sin(angle), 300 * (1 - np.cos(angle)), 60 * angle], 1)
+    inward = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], 1)
+    along = np.stack([flat * np.cos(angle), flat * np.sin(angle), slope + 0 * angle], 1)
+    side, turn = np.cross(along, inward), np.arange(48) * np.pi / 24
+    rings = 50 * (np.cos(turn)[:, None] * inward[:, None] + np.sin(turn)[:, None] * side[:, None]) + middle[:, None]
+    first = (48 * np.arange(59)[:, None] + np.arange(48)).ravel()
+    after = first - first % 48 + (first + 1) % 48
+    faces = [np.stack([first, after, first + 48], 1), np.stack([after, after + 48, first + 48], 1)]
+    trimesh.Trimesh(rings.reshape(-1, 3), np.concatenate(faces)).export(folder / "half_helix.stl")
     run = ring(54, 50, 200, 400)
     branch = trimesh.creation.annulus(25, 29, height=200)
     branch.apply_translation([200, 0, 150])
