@@ -37,7 +37,7 @@ def as_bore(path: Path) -> Any:
 
 WAYS: dict[str, Callable[[Path], Any]] = {
     "part": lambda path: scenes.part(wall=str(path), wall_scale=0.001, diameter=0.1),
-    "pipe": lambda path: scenes.pipe(wall=str(path), wall_scale=0.001, diameter=0.1),
+    "pipe": lambda path: scenes.pipe(wall=str(path), wall_scale=0.001, diameter=0.1, unit="horizontal", length=0.2),
     "bore": as_bore,
     "clump": lambda path: from_mesh(path, 8),
     "container": MeshContainer,
@@ -133,14 +133,15 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     faces = [np.stack([first, after, first + 48], 1), np.stack([after, after + 48, first + 48], 1)]
     trimesh.Trimesh(rings.reshape(-1, 3), np.concatenate(faces)).export(folder / "half_helix.stl")
     run = ring(54, 50, 200, 400)
+    run = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(run.vertices, run.faces, 20))
     branch = trimesh.creation.annulus(25, 29, height=200)
     branch.apply_translation([200, 0, 150])
-    keep = ~((np.abs(run.triangles_center[:, 0] - 200) < 210) & (run.triangles_center[:, 2] > 30))
+    keep = ~((np.abs(run.triangles_center[:, 0] - 200) < 40) & (run.triangles_center[:, 2] > 30))
     run.update_faces(keep)
     joined(run, branch).export(folder / "tee.stl")
-    both, all_ways = ("part", "pipe"), ("part", "pipe", "bore")
+    both, all_ways = ("part", "bore"), ("part", "pipe", "bore")
     return {
-        "elbow": both, "elbow_flange": both, "s_bend": ("part",), "elbow_open": all_ways, "elbow_inverted": both,
+        "elbow": both, "elbow_flange": both, "s_bend": ("part",), "elbow_open": both, "elbow_inverted": both,
         "two_shells": both, "square": all_ways, "off_centre_skin": all_ways,
     }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """One surface of a mesh makes one contact, however its triangles are put together."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -145,3 +146,11 @@ def test_a_centre_pushed_through_both_skins_is_pushed_back(start, surface):
         lowest = min(lowest, by_id(stepper.state, "position")[0, 2])
     assert lowest < -0.29 * RADIUS  # below both skins
     assert by_id(stepper.state, "velocity")[0, 2] == pytest.approx(speed, rel=1e-3)
+
+
+def test_a_start_on_the_surface_itself_is_no_section():
+    """All rays end where they begin: that is refused in one line, without a warning of NumPy's."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SceneError, match="has no closed section at its origin"):
+            scenes.part(wall=trimesh.creation.box(bounds=[[0, 0, 0], [0.4, 0.1, 0.1]]), diameter=0.1)
