@@ -107,7 +107,7 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
         folder / "two_shells.stl"
     )
     (folder / "outer.stl").unlink()
-    straight = Axis((0, 0, 0), (1, 0, 0), (Line(0.4),))
+    straight = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
     swept("square.stl", straight, wall=0.006, square=True)
     swept("off_centre_skin.stl", straight, wall=0.02, aside=0.01)
     joined(ring(80, 55, 200, 400, 6), ring(55, 50, 200, 400)).export(folder / "hexagon.stl")

@@ -5,9 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
 
+from warpcrete import SceneError, scenes
 from warpcrete.dem.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import MeshWall
 
