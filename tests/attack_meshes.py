@@ -37,7 +37,7 @@ def as_bore(path: Path) -> Any:
 
 WAYS: dict[str, Callable[[Path], Any]] = {
     "part": lambda path: scenes.part(wall=str(path), wall_scale=0.001, diameter=0.1),
-    "pipe": lambda path: scenes.pipe(wall=str(path), wall_scale=0.001, diameter=0.1),
+    "pipe": lambda path: scenes.pipe(wall=str(path), wall_scale=0.001, diameter=0.1, unit="horizontal", length=0.2),
     "bore": as_bore,
     "clump": lambda path: from_mesh(path, 8),
     "container": MeshContainer,
@@ -107,7 +107,7 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
         folder / "two_shells.stl"
     )
     (folder / "outer.stl").unlink()
-    straight = Axis((0, 0, 0), (1, 0, 0), (Line(0.4),))
+    straight = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
     swept("square.stl", straight, wall=0.006, square=True)
     swept("off_centre_skin.stl", straight, wall=0.02, aside=0.01)
     joined(ring(80, 55, 200, 400, 6), ring(55, 50, 200, 400)).export(folder / "hexagon.stl")
@@ -120,21 +120,28 @@ def cad_pipes(folder: Path) -> dict[str, tuple[str, ...]]:
     moved = ring(54, 50, 200, 400)
     moved.apply_translation([1000, 300, 50])
     moved.export(folder / "off_origin.stl")
-    angle = np.linspace(0, np.pi, 40)
-    way = np.stack([300 * np.sin(angle), 300 * (1 - np.cos(angle)), 60 * angle], 1)
-    polygon = np.stack([50 * np.cos(np.arange(48) * np.pi / 24), 50 * np.sin(np.arange(48) * np.pi / 24)], 1)
-    import shapely
-
-    trimesh.creation.sweep_polygon(shapely.Polygon(polygon), way).export(folder / "half_helix.stl")
+    angle = np.linspace(0, np.pi, 60)
+    slope = 60 / np.hypot(300, 60)
+    flat = np.sqrt(1 - slope**2)
+    middle = np.stack([300 * np.sin(angle), 300 * (1 - np.cos(angle)), 60 * angle], 1)
+    inward = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], 1)
+    along = np.stack([flat * np.cos(angle), flat * np.sin(angle), slope + 0 * angle], 1)
+    side, turn = np.cross(along, inward), np.arange(48) * np.pi / 24
+    rings = 50 * (np.cos(turn)[:, None] * inward[:, None] + np.sin(turn)[:, None] * side[:, None]) + middle[:, None]
+    first = (48 * np.arange(59)[:, None] + np.arange(48)).ravel()
+    after = first - first % 48 + (first + 1) % 48
+    faces = [np.stack([first, after, first + 48], 1), np.stack([after, after + 48, first + 48], 1)]
+    trimesh.Trimesh(rings.reshape(-1, 3), np.concatenate(faces)).export(folder / "half_helix.stl")
     run = ring(54, 50, 200, 400)
+    run = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(run.vertices, run.faces, 20))
     branch = trimesh.creation.annulus(25, 29, height=200)
     branch.apply_translation([200, 0, 150])
-    keep = ~((np.abs(run.triangles_center[:, 0] - 200) < 210) & (run.triangles_center[:, 2] > 30))
+    keep = ~((np.abs(run.triangles_center[:, 0] - 200) < 40) & (run.triangles_center[:, 2] > 30))
     run.update_faces(keep)
     joined(run, branch).export(folder / "tee.stl")
-    both, all_ways = ("part", "pipe"), ("part", "pipe", "bore")
+    both, all_ways = ("part", "bore"), ("part", "pipe", "bore")
     return {
-        "elbow": both, "elbow_flange": both, "s_bend": ("part",), "elbow_open": all_ways, "elbow_inverted": both,
+        "elbow": both, "elbow_flange": both, "s_bend": ("part",), "elbow_open": both, "elbow_inverted": both,
         "two_shells": both, "square": all_ways, "off_centre_skin": all_ways,
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from typing import Any
 Content = str | bytes | Callable[[Path, Path], None]
 SITE = "diameter: 125 mm\nflow: 20 m3/h\nconcrete: no1\nparts:\n  - straight: 10 m\n"
 MIX = "mix:\n  density: 2300\n  spread: 600 mm\n  sizes: [4 mm, 16 mm]\n"
-PLAIN = r"\*\*2\.053 bar"
+PLAIN = r"by theory, .* 2\.053 bar"
 """Answer to the line above."""
 TARGET = "{scene: slump, parameters: {concrete: own, density: 2350, slip_viscosity: 900, slip_yield: 20}, "
 
@@ -366,7 +366,12 @@ def attacks() -> Iterator[Attack]:
     for words, says in OPTIONS:
         yield Attack("options", words, words, says, there)
     for file, (name, words, keys) in RECORDS.items():
-        contents = [(f"{key} = {value!r}", edited(*key, value=value)) for key in keys for value in REPLACED]
+        contents = [
+            (f"{key} = {value!r}", edited(*key, value=value))
+            for key in keys
+            for value in REPLACED
+            if (key, value) != (("parameters",), {})
+        ]  # which are the defaults
         for label, content in [*((repr(each)[:40], each) for each in DAMAGE), *contents]:
             yield Attack(file, label, words, "", {"f": copied(name, file, content)}, (0, 2, 3), ("f", "o"))
     for file in ("checkpoint.npz", "series.csv", "result.json", "scene.json"):

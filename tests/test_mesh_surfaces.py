@@ -1,12 +1,15 @@
 """One surface of a mesh makes one contact, however its triangles are put together."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
 
+from warpcrete import SceneError, scenes
 from warpcrete.dem.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import MeshWall
 
@@ -145,3 +148,13 @@ def test_a_centre_pushed_through_both_skins_is_pushed_back(start, surface):
         lowest = min(lowest, by_id(stepper.state, "position")[0, 2])
     assert lowest < -0.29 * RADIUS  # below both skins
     assert by_id(stepper.state, "velocity")[0, 2] == pytest.approx(speed, rel=1e-3)
+
+
+def test_a_start_on_the_surface_itself_is_no_section(tmp_path):
+    """All rays end where they begin: that is refused in one line, without a warning of NumPy's."""
+    path = tmp_path / "box.stl"
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.4, 0.1, 0.1]]).export(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SceneError, match="has no closed section at its origin"):
+            scenes.part(wall=str(path), diameter=0.1)

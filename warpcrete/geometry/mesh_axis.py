@@ -300,6 +300,8 @@ def _section(
         corners = point + reach[:, None] * ways
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
+        if not area.sum() > 0:
+            return None  # all surfaces that the rays meet pass through the point itself
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle
