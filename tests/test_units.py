@@ -19,8 +19,8 @@ def pumped(device: str, **changes) -> Run:
 
 
 def figures(run: Run) -> tuple[float, float]:
-    """Peak and plateau [Pa]."""
-    return run.result["peak_pressure"]["value"], run.result["plateau_pressure"]["value"]
+    """Return peak and end [Pa]; these runs are too short for a plateau."""
+    return run.result["peak_pressure"]["value"], run.result["end_pressure"]["value"]
 
 
 @functools.cache

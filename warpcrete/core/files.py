@@ -113,6 +113,10 @@ RECORD_KINDS: dict[str, type] = {
 """Kinds of the entries of a record of what was asked for: a run, a study, a trade, a calibration or a reproduction."""
 
 
+LEFT_OUT = {"device", "precision", "threads", "columns", "rows"}
+"""Entries that are null where nobody asked for anything."""
+
+
 def read_record(path: Path) -> dict[str, Any]:
     """Return what :func:`read_json` does, or raise :class:`RunFolderError` for an entry of another kind."""
     record = read_json(path)
@@ -124,7 +128,7 @@ def read_record(path: Path) -> dict[str, Any]:
                 continue
             _refuse_entry(path, "command" if place == 1 else "cases", part)
         for name, kind in RECORD_KINDS.items():
-            if name in part and not isinstance(part[name], kind):
+            if name in part and not isinstance(part[name], kind) and not (part[name] is None and name in LEFT_OUT):
                 _refuse_entry(path, name, part[name])
     return record
 
