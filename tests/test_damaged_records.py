@@ -16,7 +16,7 @@ from warpcrete.mix.mix import mix_of
 @pytest.mark.parametrize("name", RECORD_KINDS)
 def test_an_entry_of_another_kind_is_named(tmp_path, name):
     path = tmp_path / "scene.json"
-    for record in ({name: 1.5}, {"command": {name: None}}, {"cases": [{name: None}]}):
+    for record in ({name: 1.5}, {"command": {name: 1.5}}, {"cases": [{name: 1.5}]}):
         path.write_text(json.dumps(record))
         with pytest.raises(RunFolderError, match=f"is damaged: its entry '({name}|command|cases)' is "):
             read_record(path)

@@ -27,6 +27,8 @@ from .legend import legend, paint_legend
 
 PATIENCE = 4.0
 """Time that a viewer, or the writer of a file that does not grow, gets to take the rest [s]."""
+GOODBYE = 30.0
+"""Time that Rerun gets to close a file after a viewer did not take the recording [s]."""
 LOOK = 0.5
 """Time between two looks at whether the file has grown [s]."""
 AXIS = (200, 200, 200)
@@ -238,13 +240,15 @@ class RerunRecorder(Recorder):
     def finish(self, simulation: Simulation, run: Run) -> None:
         """Flush and close."""
         if self._recording is not None:
+            watched = bool(self.live)
             try:
                 self._later.close()
                 self._flush()
             except BaseException:
                 self._disconnect(LOOK)
                 raise
-            if not self._disconnect(PATIENCE):
+            # Rerun looks for a viewer that has gone before it closes the file.
+            if not self._disconnect(GOODBYE if watched and not self.live else PATIENCE):
                 raise self._trouble(RuntimeError("the writer does not end"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
