@@ -269,8 +269,8 @@ class Stepper:
         """
         speeds = {wall.name: wall.top_speed() for wall in model.walls}
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
-        for name, speed in speeds.items() if fixed is not None and self.state.sphere_count else ():
-            if speed * fixed > radius:
+        for name, speed in speeds.items():
+            if fixed is not None and self.state.sphere_count and speed * fixed > radius:
                 refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m a step, further than the "
                        f"smallest radius, {radius:.3g} m",
                        "leave it out for an automatic step, or slow the wall down")  # fmt: skip
