@@ -7,23 +7,26 @@ import json
 import os
 import warnings
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import RunFolderError
-from .files import partial_of, whole_file
+from .files import cannot_write, partial_of
 from .fingerprints import fingerprint
 from .provenance import processor, versions
 
 FORMAT = 7
 
 
-def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
-    """Write a checkpoint of a run of `scene`; an interrupted write leaves the one before.
+def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
+    """Write a checkpoint of a run of `scene` to a partial file beside `path`; :func:`commit` puts it in place.
 
-    `contents` holds numbers, text, arrays and dictionaries of them.
+    `contents` holds numbers, text, arrays and dictionaries of them. Until `commit`, the previous checkpoint stays at
+    `path`, so that a run whose recorders fail to keep their part goes on from a moment that everybody has on disk.
+    Raises :class:`RunFolderError` where the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {
@@ -37,14 +40,34 @@ def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[st
     }
     arrays["text"] = np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
     arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
-    with whole_file(path) as partial, partial.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-        file.flush()
-        os.fsync(file.fileno())
+    try:
+        with partial_of(path).open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException as error:
+        discard(path)
+        if isinstance(error, OSError):
+            raise cannot_write(path, error) from error
+        raise
+
+
+def commit(path: Path) -> None:
+    """Replace the checkpoint at `path` by the one that :func:`write_beside` wrote."""
+    try:
+        partial_of(path).replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def discard(path: Path) -> None:
+    """Remove what :func:`write_beside` wrote; the checkpoint at `path` stays."""
+    with suppress(OSError):
+        partial_of(path).unlink(missing_ok=True)
 
 
 def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
-    """What :func:`write` was given, if it belongs to the same scene, kind of device, precision and versions.
+    """What :func:`write_beside` was given, if it belongs to the same scene, kind of device, precision and versions.
 
     Raises :class:`RunFolderError` with the reason for any other file.
     """
@@ -89,7 +112,7 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
 def remove(path: Path) -> None:
     """Remove a checkpoint, and what an interruption left of writing one."""
     path.unlink(missing_ok=True)
-    partial_of(path).unlink(missing_ok=True)
+    discard(path)
 
 
 def _kind(device: Any) -> str:
