@@ -246,7 +246,7 @@ class Failing(Recorder):
         self.closed = 0
 
         def fail(simulation, *arguments):
-            if method not in ("sample", "frame") or len(simulation.rows) > 2:
+            if method not in ("sample", "frame", "checkpoint", "write") or len(simulation.rows) > 2:
                 raise error
             return None
 
@@ -300,7 +300,7 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
             raise cannot_write(tmp_path / "film", OSError(errno.EFBIG, "too large"))
 
     simulation = flow(tmp_path / "run", Film(), every=1e9)
-    monkeypatch.setattr(checkpoint, "write", write)
+    monkeypatch.setattr(checkpoint, "write_beside", write)
     monkeypatch.setattr("warpcrete.record.run_folder.write_json", write_json)
     monkeypatch.setattr(Simulation, "_checkpoint", lambda self: None)
     with pytest.raises(DiskFullError) as told:
@@ -313,7 +313,8 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
 
 def test_a_checkpoint_writes_state_result_and_recordings_in_this_order(tmp_path, monkeypatch):
     order = []
-    monkeypatch.setattr(checkpoint, "write", lambda *given: order.append("state"))
+    monkeypatch.setattr(checkpoint, "write_beside", lambda *given: order.append("state"))
+    monkeypatch.setattr(checkpoint, "commit", lambda path: order.append("commit"))
     monkeypatch.setattr(TableRecorder, "write", lambda self, simulation: order.append("result"))
 
     class Film(Recorder):
@@ -323,8 +324,8 @@ def test_a_checkpoint_writes_state_result_and_recordings_in_this_order(tmp_path,
             order.append("film")
 
     flow(tmp_path / "run", Film()).run()
-    assert order[:4] == ["state", "state", "result", "film"] and order[-1] == "state"  # at t = 0 there is no row yet
-    assert order[1:-1] == ["state", "result", "film"] * (len(order[1:-1]) // 3)
+    assert order[:2] == ["state", "commit"] == order[-2:]  # at t = 0 and at the end
+    assert order[2:-2] == ["state", "result", "film", "commit"] * (len(order[2:-2]) // 4) and len(order) > 8
 
 
 # Kills.
