@@ -1,5 +1,4 @@
-"""Mix of a concrete and the parameters that both methods need from it: use `mix_of` for a mapping, `read_mix` for a
-file."""
+"""Mix of a concrete, built from a mapping (`mix_of`) or a file (`read_mix`), and the parameters that follow from it."""
 
 from __future__ import annotations
 
