@@ -18,8 +18,8 @@ def chosen(
 ) -> dict[str, Any]:
     """Return the parameters to change for the requested accuracy, from the trade-off in a folder or a shipped one.
 
-    The choice, its expected error and the limits of that promise are printed to stderr. Raises
-    :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
+    The function prints to stderr what was chosen, the expected error, and where this error has not been measured.
+    Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': means nothing without --accuracy, as --accuracy 5%")

@@ -485,7 +485,7 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # treat like Ctrl-C, which saves unwritten data
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -501,7 +501,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # libraries may wait for the disk when the program ends
+        if isinstance(error, DiskFullError):  # Libraries may wait for the disk when the program ends.
             end = threading.Timer(LAST_WORDS, os._exit, [2])
             end.daemon = True
             end.start()

@@ -40,7 +40,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': that run is finished")
     settings = dict(record.get("command", {}))
-    settings = {kind.name: False for kind in RECORDERS} | settings  # recorders added in later versions
+    settings = {kind.name: False for kind in RECORDERS} | settings  # Recorders that the old run did not have are off.
     if set(settings) != set(KEPT):
         raise RunFolderError(
             f"'{folder / 'scene.json'}': does not say how the run was recorded; "

@@ -29,8 +29,10 @@ class Arc:
     angle: float
     """Angle by which the bend turns the axis [rad]."""
     towards: tuple[float, float, float]
-    """Direction from the start of the bend to its centre, shape (3,). Only its part perpendicular to the axis
-    counts."""
+    """Direction from the start of the bend to its centre, shape (3,).
+
+    Only the part of this vector perpendicular to the axis counts.
+    """
 
     def __post_init__(self) -> None:
         positive("elbow radius", self.radius, "m")
@@ -152,8 +154,8 @@ class Axis:
             return rows[0]["begin"] + (points - rows[0]["start"]) @ rows[0]["tangent"]
         length, distance = np.zeros(len(points)), np.full(len(points), np.inf)
         for row in rows:
-            # Compute the components along, outwards and across separately: for many points this takes a third of the
-            # time of vector operations.
+            # Compute the components along the axis, outwards and across as separate numbers. For many points, this
+            # takes a third of the time of operations on vectors.
             local = points - (row["start"] - row["radius"] * row["outward"])
             a, b = local @ row["tangent"], local @ row["outward"]
             if row["arc"]:

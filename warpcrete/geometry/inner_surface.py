@@ -25,7 +25,8 @@ SEEN = 1e-3
 OFFSET = 1e-4
 """Distance in radii, on both sides of a facet, of the points from which its visibility is tested."""
 CORNERS = 0.8
-"""Weight of a triangle's corner in the points at which the triangle's visibility is tested; its centre has the rest."""
+"""Weight of a corner in a mean of a triangle's corner and centre. At these means, and at the centre, the visibility of
+the triangle is tested."""
 
 
 class InnerSurface:

@@ -48,7 +48,7 @@ LIMITED_AS = {
     "outlet": "diameter",
     "radius": "bend_radius",
 }
-"""Quantity whose permitted range applies to an entry of a different name."""
+"""Quantity whose permitted range also applies to an entry of a different name."""
 MOST_PARTS, MOST_POINTS = 2000, 500
 """Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}

@@ -17,7 +17,7 @@ AROUND = 36
 ADVANCE = 0.25
 """Distance between neighbouring cross-sections, in radii of the bore."""
 FINEST = 1 / 256
-"""Smallest step, in radii, with which the last cross-section before the end of a bore is located."""
+"""Smallest step, in radii, of the search for the last cross-section before the end of a bore."""
 SHORTEST = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections, in radii, while a bore is followed."""
 TURNS, TURN = 6, 0.4
@@ -307,7 +307,7 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # every surface that the rays meet passes through the point itself
+            return None  # All surfaces that the rays meet pass through the point itself.
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle
@@ -330,7 +330,8 @@ def _longest(
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # The step doubles with each success. After a failure it is halved to find the limit in between.
+            # The number of points to advance doubles after each success. After a failure it is halved, to find the
+            # limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step
@@ -347,8 +348,8 @@ def _straight(
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
     turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
-    # The tangent at the last point also depends on the next piece, which may bend, so that it is ignored. It counts
-    # only at the end of the whole curve.
+    # The tangent at the last point also depends on the next piece, which may bend. This tangent is therefore ignored,
+    # except at the end of the whole curve.
     inner = turned if stop == len(points) - 1 else turned[:-1]
     if np.all(beside <= 0.5 * allowed) and np.all(inner <= BENT):
         return [Line(float(along[-1]))]

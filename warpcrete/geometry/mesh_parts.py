@@ -19,8 +19,8 @@ from .mesh_axis import follow, pieces_through
 from .meshes import load
 
 FIT, ROUND = 0.02, 0.05
-"""Largest relative differences between a mesh and the line's pipe at its ends: of the diameter of equal area, and of
-the radius in any direction."""
+"""Largest relative differences between a mesh and the line's pipe at its ends: first in the diameter of equal area,
+then in the radius in any direction."""
 PLACED = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01

@@ -18,7 +18,7 @@ from .axis import Axis
 from .cleaning import clean
 from .walls import MeshWall, PipeWall
 
-if TYPE_CHECKING:  # importing trimesh takes half a second, and most scenes have no mesh
+if TYPE_CHECKING:  # Importing trimesh takes half a second, and most scenes have no mesh.
     import trimesh
 
 FARTHEST_WALL = 10.0
@@ -49,13 +49,13 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     else:
         path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
         try:
-            with np.errstate(all="ignore"):  # invalid numbers are reported below
+            with np.errstate(all="ignore"):  # Invalid numbers are reported below.
                 mesh = trimesh.load_mesh(path)
                 if isinstance(mesh, trimesh.Scene):
                     mesh = mesh.to_mesh()
-        except Exception as error:  # trimesh passes on any error of its readers
-            # If no reader recognises a file, the last one tried fails, perhaps with an ImportError because it is not
-            # installed.
+        except Exception as error:  # Trimesh passes on any error of its readers.
+            # A file in an unknown format fails in the last reader that trimesh tries, perhaps with an ImportError
+            # because that reader is not installed.
             why = "it is damaged or of another kind" if isinstance(error, ImportError) else " ".join(str(error).split())
             refuse(field, str(source), f"cannot be read as a triangle mesh ({why or type(error).__name__})",
                    "give an STL, OBJ, PLY ... file whose ending says what it is")  # fmt: skip

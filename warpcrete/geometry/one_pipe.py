@@ -37,7 +37,7 @@ def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
-    """Return unit and inlet diameter [m] of the mesh `wall` in a scene's parameters.
+    """Return the parameters that the mesh `wall` of a scene implies: `unit`, and the inlet's `diameter` [m].
 
     The result is empty without a mesh, or if the parameters name a unit other than `mesh`. At its origin the mesh may
     lead in one of the directions `ways`.
@@ -49,7 +49,7 @@ def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[
         return {"unit": unit}
     scale = values.get("wall_scale", 1.0)
     if not isinstance(wall, (str, Path)) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
-        return {"unit": unit}  # the checks of the scene's parameters report what is wrong
+        return {"unit": unit}  # The checks of the scene's parameters report what is wrong.
     return {
         "unit": unit,
         "diameter": float(f"{bore_of(('wall', 'wall_scale'), Path(wall), scale, ways=ways).ends[0]:.6g}"),
@@ -83,8 +83,8 @@ def joined(axis: Axis) -> Axis:
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
     """Refuse a pipe that returns past the planes at its ends, or that is too long to be simulated.
 
-    The first plane crosses the pipe at the arc length `begin` [m] and extends `aside` [m] from the axis. The second
-    plane crosses the end of the pipe and has no limit.
+    The first plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
+    axis. The second plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > LONGEST * 2 * bores.largest:
         refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "cut it: the command line adds "

@@ -8,7 +8,7 @@ import numpy as np
 
 from .meshes import signed_distance
 
-if TYPE_CHECKING:  # importing trimesh takes half a second
+if TYPE_CHECKING:  # Importing trimesh takes half a second.
     import trimesh
 
 

@@ -23,7 +23,7 @@ MOST_STOPS = 1_000_000
 class Stops:
     """Repeated strokes of a prescribed motion, each from rest to rest and followed by a pause.
 
-    After these strokes the motion keeps its speed.
+    After these strokes the motion continues at constant speed.
     """
 
     count: int

@@ -111,10 +111,10 @@ class Given:
     """Coarse aggregate as a share of the concrete's volume."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
-    """Openings of the sieves [m] and the mass fractions that pass them."""
+    """Openings of the sieves [m], each with the mass fraction that passes it."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Shape of the stones under its name in the discrete element method."""
+    """Shape of the stones, as the discrete element method names it."""
     concrete: Measured
     mortar: Measured
     sheared: tuple[list[float], list[float]] | None

@@ -50,7 +50,7 @@ TWICE = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31,
 
 
 def yield_stresses(given: Given) -> Iterator[Figure]:
-    """Yield estimates of the concrete's yield stress, the most accurate first.
+    """Generate estimates of the concrete's yield stress, the most accurate first.
 
     Each entry of the mix that determines the yield stress gives one estimate.
     """
@@ -75,7 +75,7 @@ def yield_stresses(given: Given) -> Iterator[Figure]:
 
 
 def viscosities(given: Given) -> Iterator[Figure]:
-    """Yield estimates of the concrete's plastic viscosity, the most accurate first.
+    """Generate estimates of the concrete's plastic viscosity, the most accurate first.
 
     Each entry of the mix that determines the viscosity gives one estimate.
     """

@@ -85,7 +85,7 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    check_files(path, record.get("files", {}))  # check the files before any of them is imported
+    check_files(path, record.get("files", {}))  # Check the files before any of them is imported.
     return saved_scene(path, known)
 
 

@@ -50,7 +50,7 @@ class ParaViewRecorder(Recorder):
         self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._walls = self._display.walls()
         self._open()
-        for file in self._files.values():  # files of a run that stopped before its first checkpoint
+        for file in self._files.values():  # Delete the files of a run that stopped before its first checkpoint.
             file.path.unlink(missing_ok=True)
 
     def _open(self) -> None:
@@ -160,7 +160,7 @@ class Poly:
                     root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
                     for step in self._waiting:
                         self._append(root, *step)
-            except RuntimeError as error:  # h5py raises RuntimeError while closing a file on a full disk
+            except RuntimeError as error:  # On a full disk, h5py raises RuntimeError while closing a file.
                 raise cannot_write(self.path, error) from error
         self._waiting = []
 

@@ -33,13 +33,13 @@ LOOK = 0.5
 """Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
 MARGIN = 512
-"""Number of texels of the first colour at the start of the texture. At its edges, a triangle is sampled slightly
-outside its corners, by a part of a pixel."""
+"""Number of texels that repeat the first colour at the start of the texture. At the edges of a mesh, a renderer samples
+colours slightly outside the triangles."""
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
     """Return the Arrow array of a Rerun tensor with its values replaced by others of the same number and type."""
-    union = tensor.field("buffer")  # union of list arrays, one for each data type
+    union = tensor.field("buffer")  # Union of list arrays, one for each data type.
     kind = union.type_codes[0].as_py()
     members = [union.field(number) for number in range(union.type.num_fields)]
     members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
@@ -53,8 +53,8 @@ class RerunRecorder(Recorder):
     Every clump is drawn by its own spheres. `path` is that of the .rrd file, or None. `live` is True to open a viewer,
     or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened
     viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds lines
-    between bodies, if the display has any: contacts as wide and bright as their forces, and bonds without pressure in
-    orange.
+    between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds without
+    compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.
@@ -95,7 +95,7 @@ class RerunRecorder(Recorder):
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, and send the blueprint and all data that does not change."""
         if self.path is not None:
-            for path in self._later_parts(0):  # parts of a run that stopped before its first checkpoint
+            for path in self._later_parts(0):  # Delete parts of a run that stopped before its first checkpoint.
                 path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
@@ -114,7 +114,7 @@ class RerunRecorder(Recorder):
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        if not self.live:  # a newly opened viewer needs the positions of all bars again
+        if not self.live:  # A newly opened viewer needs the positions of all bars again.
             self._places = dict(state["places"])
         if self.live:
             self._describe(display)
@@ -155,7 +155,7 @@ class RerunRecorder(Recorder):
         """Record bodies, moving walls and, if selected, the network."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # drawing the legend takes ten times as long as a frame
+        if self._legend_due:  # Drawing the legend takes ten times as long as a frame.
             self._legend_due = False
             self._later.do(self._log_legend)
 
@@ -225,7 +225,8 @@ class RerunRecorder(Recorder):
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
-                if not np.array_equal(self._places.get(path, ()), middle):  # converting positions is slow
+                # Converting the positions takes most of the time, so send them only when they have changed.
+                if not np.array_equal(self._places.get(path, ()), middle):
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
                                "color": curve.colour}  # fmt: skip
@@ -326,8 +327,8 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # tensors of bars, by the number of bars
-        self._places: dict[str, np.ndarray] = {}  # last recorded positions of bars, by path
+        self._tensors: dict[int, Any] = {}  # Tensors of bars, by the number of bars.
+        self._places: dict[str, np.ndarray] = {}  # Last recorded positions of bars, by path.
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
             opened.start()
@@ -350,7 +351,7 @@ class RerunRecorder(Recorder):
                 return
             except (RuntimeError, ValueError) as error:
                 trouble = error
-                time.sleep(0.05)  # a writer that has died answers at once
+                time.sleep(0.05)  # A writer that has died answers at once.
             # After a full disk, the writer may never answer; a slow writer can be recognised by the growing file.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size

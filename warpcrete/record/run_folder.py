@@ -55,7 +55,7 @@ class TableRecorder(Recorder):
     ) -> None:
         self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
         self._hold: Hold | None = None
-        self._is_new = False  # whether this recorder created the folder
+        self._is_new = False  # True if this recorder created the folder.
         self._file: TextIO | None = None
         self._writer: Any = None
 

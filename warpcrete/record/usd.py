@@ -4,7 +4,7 @@ Rigid bodies are one point instancer with a prototype for each shape; fluid part
 """
 
 # pyright: reportAttributeAccessIssue=false
-# (pxr modules add their attributes when they are imported)
+# The pxr modules add their attributes when they are imported.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
-FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
+FRAMES_PER_SECOND = 1000  # Time codes are milliseconds of simulated time.
 
 
 class UsdRecorder(Recorder):
@@ -273,7 +273,7 @@ class _Points:
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3)."""
-    x = np.ascontiguousarray(places.T)  # the minimum of contiguous rows takes a tenth of the time
+    x = np.ascontiguousarray(places.T)  # The minimum of contiguous rows takes a tenth of the time.
     return np.stack([(x - reach).min(1), (x + reach).max(1)]).astype(np.float32)
 
 

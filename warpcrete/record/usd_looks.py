@@ -1,7 +1,7 @@
 """Materials, light and documentation of a USD scene."""
 
 # pyright: reportAttributeAccessIssue=false
-# (pxr modules add their attributes when they are imported)
+# The pxr modules add their attributes when they are imported.
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def describe(stage: Any, display: Display, scene: Any) -> None:
 
 
 def light(stage: Any, display: Display) -> None:
-    """Add the light of the sky, and of a sun behind the viewer's shoulder."""
+    """Add a sky light and a sun that shines over the viewer's shoulder."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, "/Run/Lights")
@@ -133,10 +133,10 @@ class Colours:
 
     def __init__(self, primvar: Any) -> None:
         self._primvar = primvar
-        known = primvar.Get()  # the table of a file that is continued
+        known = primvar.Get()  # Colour table of a file that is continued.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        self._known: dict[int, int] = {}  # indices of the colours used so far, by their packed RGB bytes
+        self._known: dict[int, int] = {}  # Indices of the colours used so far, by their packed RGB bytes.
 
     def set(self, colours: np.ndarray, code: Any) -> None:
         """Set the colours of all bodies, RGB bytes (n, 3), at a time code."""
