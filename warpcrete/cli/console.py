@@ -13,7 +13,7 @@ from ..core.errors import PlausibilityWarning, one_line
 
 
 def prepare_streams() -> None:
-    """Escape characters that the terminal cannot show, and print every plausibility warning once, in one line."""
+    """Let no character that the terminal cannot show end the command, and make every warning one line."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
