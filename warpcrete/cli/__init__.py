@@ -1,4 +1,4 @@
-"""The `warpcrete` command."""
+"""Command line of warpcrete: the `warpcrete` command."""
 
 from .main import cli, main
 

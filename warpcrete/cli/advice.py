@@ -1,4 +1,4 @@
-"""`warpcrete run SCENE --accuracy 5% [--trade FOLDER]`: settings by what a trade measured, and how far that carries."""
+"""Option `--accuracy` of `warpcrete run`: settings chosen from a measured trade-off between speed and accuracy."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from ..studies.advice import advise, shipped
 def chosen(
     name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None, device: str | None
 ) -> dict[str, Any]:
-    """Parameters to change for the wanted accuracy, by the trade in a folder or else by a shipped one.
+    """Return the parameters to change for the requested accuracy, from the trade-off in a folder or a shipped one.
 
-    Says on stderr what was chosen, what to expect of it, and where not.
+    The function prints to stderr what was chosen, the expected error, and where this error has not been measured.
+    Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
     """
     if accuracy is None:
         raise click.UsageError(f"trade = '{trade}': means nothing without --accuracy, as --accuracy 5%")

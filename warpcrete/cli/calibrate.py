@@ -1,4 +1,4 @@
-"""`warpcrete calibrate`: from measured quantities to the parameters of a concrete."""
+"""Command `warpcrete calibrate`: parameters of a concrete from measured quantities."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ ONE = {
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
 ANEW = ("trials", "processes", *ON_WORKERS)
-"""Settings with others of which a calibration may go on."""
+"""Settings of a calibration that may change when it is continued."""
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Calibrate, or go on with it, and print what was found."""
+    """Start or continue a calibration, and print its results."""
     targets, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)
@@ -60,7 +60,7 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
 
 
 def report(found: Calibration) -> None:
-    """Print the tables, what they do not tell, and where the rest is."""
+    """Print the tables of results, notes on their limits, and the path of the folder."""
     click.echo()
     if found.posterior is not None:
         click.echo("\n".join([*parameter_table(found), "", *target_table(found), ""]))

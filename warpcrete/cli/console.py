@@ -1,4 +1,4 @@
-"""The streams that the command prints to."""
+"""Output streams of the command line."""
 
 from __future__ import annotations
 

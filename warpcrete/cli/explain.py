@@ -1,4 +1,4 @@
-"""`warpcrete explain`: what a scene will take, before it runs."""
+"""Command `warpcrete explain`: memory, time step and run time of a scene before it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ONE = {"device": str, "threads": int, "trade": Path}
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Print what a scene will take."""
+    """Print what memory, time step and run time a scene needs."""
     scene, options = parsed(arguments)
     settings = single(options, ONE)
     fresh = options.pop("fresh", None)

@@ -1,4 +1,4 @@
-"""`warpcrete line`: the pressure that a line of pipes needs."""
+"""Command `warpcrete line`: the pressure that a pipeline needs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def run(
     method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
     device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
 ) -> None:  # fmt: skip
-    """Run the parts of a line and print what it needs."""
+    """Simulate the parts of a pipeline and print the pressure that it needs."""
     stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
     given = read_line(line)
     if flow is None and given.flow is None:

@@ -1,4 +1,4 @@
-"""The `warpcrete` command: its words and options. What they do stands in the files beside this one."""
+"""The `warpcrete` command: its subcommands and options, which call functions in the other modules of this package."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .console import prepare_streams
 from .texts import MIX_HELP
 
 LAST_WORDS = 3.0
-"""Time that a command gets to end after a full disk was reported [s]."""
+"""Time that a command has to end after it has reported a full disk [s]."""
 
-# Warp takes half a second to load, scenes with it: each word of the command loads what it needs when it is called.
+# Warp takes half a second to load, and so do scenes. Each subcommand therefore loads its modules when it is called.
 
 
 def _part(name: str) -> ModuleType:
@@ -43,14 +43,15 @@ def cli(trust: bool) -> None:
 
 @cli.command("list")
 def list_scenes() -> None:
-    """Scenes, one line each."""
+    """List the scenes, one line each."""
     for name, module in _scenes().items():
         click.echo(f"{name:12s} {(inspect.getdoc(module) or '').partition(chr(10))[0]}")
 
 
 def _by_method(arguments: list[str]) -> list[str]:
-    """Words of a command without `--method NAME`, which says the scene's name in full: `slump --method dem` is
-    `slump-dem`.
+    """Remove `--method NAME` from a command's words and complete the scene's name with it.
+
+    For example, `slump --method dem` becomes `slump-dem`.
     """
     left, method = [], None
     words = iter(arguments)
@@ -72,7 +73,7 @@ def _by_method(arguments: list[str]) -> list[str]:
 
 
 class LazyGroup(click.Group):
-    """Words of the command whose options are made when they are used."""
+    """Group of subcommands whose options are built only when a subcommand is used."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, _by_method(args))
@@ -99,12 +100,14 @@ class LazyGroup(click.Group):
 @click.option("--quiet", is_flag=True, help="with --resume: no progress bar")
 @click.pass_context
 def run_group(context: click.Context, resume: Path | None, live: str | None, bind: str, quiet: bool) -> None:
-    """Run a scene: `warpcrete run SCENE [options]` (`slump --method dem` is `slump-dem`), repeat one: `warpcrete run
-    RUN/scene.json`, or go on with an
-    interrupted one: `warpcrete run --resume RUN`.
+    """Run a scene, repeat a saved run, or continue an interrupted one.
 
-    Exits with 0 if the run is finished and passes its checks, 1 if it became unstable, 2 for bad input, 3 if a check
-    failed, 130 if it was interrupted."""
+    Run a scene with `warpcrete run SCENE [options]`; `slump --method dem` is `slump-dem`. Repeat a run with `warpcrete
+    run RUN/scene.json`. Continue an interrupted run with `warpcrete run --resume RUN`.
+
+    The exit code is 0 if the run is finished and passes its checks, 1 if it became unstable, 2 for bad input, 3 if a
+    check failed, and 130 if it was interrupted.
+    """
     if context.invoked_subcommand is not None:
         if resume is not None or live is not None or quiet:
             raise click.UsageError("--resume, --live, --quiet: before a scene they mean nothing; put them behind it")
@@ -166,7 +169,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Has the options of the parameters that scene functions of flows have."""
+    """Command that has an option for each parameter of the scene functions of flows."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -188,7 +191,10 @@ def theory(
     rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
-    """Bingham flow with a slip layer: pressure from flow, flow from pressure, in pipe and channel."""
+    """Compute the flow of a Bingham fluid with a slip layer in a pipe and a channel.
+
+    The pressure follows from a flow, or the flow from a pressure.
+    """
     job = _part("theory")
     one, several = job.option_amount, job.option_amounts
     job.run(
@@ -227,7 +233,10 @@ def view_run(run: Path, web: bool, bind: str) -> None:
 @click.option("--extremes", is_flag=True, help="also run the matrix of scenes at the edge of what makes sense")
 @click.option("--out", type=click.Path(path_type=Path), help="new folder for verification.md and verification.png")
 def verify(**settings: Any) -> None:
-    """Compare with published and closed-form answers: one table, one figure; exits with 1 if an answer is off."""
+    """Compare results with published and closed-form answers, in one table and one figure.
+
+    The exit code is 1 if a result is wrong.
+    """
     _part("verify").run(**settings)
 
 
@@ -309,8 +318,11 @@ def trade_command(arguments: tuple[str, ...]) -> None:
 @click.option("--processes", type=click.IntRange(1, 1024), help="at a time on a CPU  [default: one a core]")
 @click.option("--quiet", is_flag=True, help="no progress bar")
 def reproduce_command(**settings: Any) -> None:
-    """Run what PAPER ran, zhan (discrete elements) or xu (flows), and report: the paper beside ours, literal and
-    calibrated, each of its trends judged; exits with 130 if it was interrupted."""
+    """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
+
+    The report shows the paper's values next to those of literal and calibrated runs, and judges each of its trends. The
+    exit code is 130 if the command was interrupted.
+    """
     _part("reproduce").run(**settings)
 
 
@@ -428,8 +440,11 @@ def mix_command(name: str, out: Path | None) -> None:
 @click.argument("kind", required=False)
 @click.option("--path", is_flag=True, help="print the path of the shipped file instead")
 def schema_command(kind: str | None, path: bool) -> None:
-    """Print the JSON schema of a kind of file: concrete, mix, line or targets. By it editors complete and check such
-    files, with '# yaml-language-server: $schema=PATH' as their first line."""
+    """Print the JSON schema of a kind of file: concrete, mix, line or targets.
+
+    Editors use the schema to complete and check such files if their first line is '# yaml-language-server:
+    $schema=PATH'.
+    """
     if kind is None:
         raise click.UsageError("kind: name concrete, mix, line or targets")
     found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
@@ -464,10 +479,13 @@ def _fail(text: str, code: int) -> NoReturn:
 
 
 def main() -> None:
-    """Entry point: every expected error is one line on stderr; bad input exits with 2, an unstable run with 1."""
+    """Run the command, and report every expected error as one line on stderr.
+
+    Bad input leads to exit code 2, and an unstable run to 1.
+    """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is on the way is put on disk
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -483,7 +501,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # a library may wait for the disk when the program ends
+        if isinstance(error, DiskFullError):  # Libraries may wait for the disk when the program ends.
             end = threading.Timer(LAST_WORDS, os._exit, [2])
             end.daemon = True
             end.start()

@@ -1,4 +1,4 @@
-"""`warpcrete mix`: what follows from a mix, and the plain concrete of it."""
+"""Command `warpcrete mix`: properties that follow from a mix, and a file of the concrete without its mix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..mix.mix import Mix, read_mix
 
 
 def run(name: str, out: Path | None) -> None:
-    """Print the table; with `out`, write the concrete's file that the mix stands for."""
+    """Print the properties that follow from a mix; with `out`, also write the concrete's file."""
     if out is not None and (out.exists() or out.suffix not in (".yaml", ".yml")):
         refuse("out", str(out), "must be a new .yaml file")
     mix = read_mix(name)
@@ -32,18 +32,18 @@ def run(name: str, out: Path | None) -> None:
 
 
 def plain(name: str, mix: Mix) -> dict[str, object]:
-    """The file of the concrete that a mix stands for, with both sections; what elements have is their scene's."""
+    """Return the contents of a concrete's file with the sections `elements` and `flow` that follow from a mix."""
     source = f"{mix.source + '; ' if mix.source else ''}from the mix {Path(name).name}"
     elements = PipeParameters.implied({"concrete": name})
     return {"name": mix.name, "source": source, "elements": dict(elements), "flow": mix.flow}
 
 
 STIFF = 700.0
-"""Yield stress from which a cone of law mortar stands whole [Pa]."""
+"""Yield stress [Pa] above which a cone of mortar does not slump under the contact law `mortar`."""
 
 
 def _cone(mix: Mix) -> str:
-    """Words of the command for the mix's mortar law in a vessel."""
+    """Return a command that simulates a slump cone of the mix with discrete elements."""
     law = "mortar" if mix["yield stress"].value < STIFF else "plastic"
     found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
     found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix['viscosity'].value:.4g}"

@@ -1,4 +1,4 @@
-"""Options of the command that are made from declared parameters, and those that every run has."""
+"""Command-line options: those built from declared parameters, and those of every run."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ..record.recorders import RECORDERS
 
 
 class ParameterOption(click.Option):
-    """Option of a declared parameter; help pages list it under its group."""
+    """Option of a declared parameter, which help pages list under the parameter's group."""
 
     group = ""
 
 
 class GroupedCommand(click.Command):
-    """Help pages with a section for each group of parameters."""
+    """Command whose help page has a section for each group of parameters."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}
@@ -38,7 +38,7 @@ class GroupedCommand(click.Command):
 
 
 class SceneCommand(GroupedCommand):
-    """Command of a scene, of which some options bring others: `--contact LAW` those of the law."""
+    """Command of a scene, in which some options add others: `--contact LAW` adds those of the contact law."""
 
     def __init__(self, name: str, scene: Any, **settings: Any) -> None:
         super().__init__(name, **settings)
@@ -57,7 +57,7 @@ class SceneCommand(GroupedCommand):
 
 
 def _value_of(option: str, words: list[str]) -> str | None:
-    """Return the value that an option has among the words of a command."""
+    """Return the value of an option among the words of a command, or None."""
     for place, word in enumerate(words):
         if word == option and place + 1 < len(words):
             return words[place + 1]
@@ -67,7 +67,7 @@ def _value_of(option: str, words: list[str]) -> str | None:
 
 
 def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
-    """An option for each field, and a hidden one for each other name that it has."""
+    """Return one option for each field, and one hidden option for each alias of the field."""
     found: list[click.Parameter] = []
     for field in fields:
         names = [field.name, *(alias.name for alias in field.of_kind(Alias))]
@@ -91,7 +91,7 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
 
 
 class Quantity(click.ParamType):
-    """A number, or a text of a number and one of the units that people write."""
+    """Option type for a number, or a text of a number and a common unit."""
 
     name = "number"
 
@@ -109,7 +109,7 @@ NO_NUMBERS = ("nan", "inf", "infinity")
 def quantity_of(value: Any, field: Field, called: str) -> float:
     """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
-        return float(value)  # which the field's own rule refuses
+        return float(value)  # The field's own check refuses these values.
     return amount(called, value, field.units)
 
 
@@ -123,19 +123,19 @@ def _kind(field: Field, called: str) -> Any:
 
 
 def flag(name: str) -> str:
-    """Option of a parameter."""
+    """Return the command-line option of a parameter, such as `--slip-yield` for `slip_yield`."""
     return "--" + name.replace("_", "-")
 
 
 def given(values: Mapping[str, Any], context: click.Context | None = None) -> dict[str, Any]:
-    """Those of the options' values that were given, not left to their defaults."""
+    """Return the values of the options that were stated on the command line, without defaults."""
     context = context or click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
 
 
 def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
-    """Refuse a name that no scene has; `more` says what else may stand there."""
+    """Refuse the name of an unknown scene; `more` names other possible words for the error message."""
     if name not in modules:
         meant = suggested(name, modules)
         raise click.UsageError(
@@ -144,7 +144,7 @@ def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") ->
 
 
 def run_options() -> list[click.Parameter]:
-    """Options of every run, whatever its scene."""
+    """Return the options of every run, which do not depend on its scene."""
     colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),

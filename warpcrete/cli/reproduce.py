@@ -1,4 +1,4 @@
-"""`warpcrete reproduce`: what a paper ran, ours beside it."""
+"""Command `warpcrete reproduce`: repeats the runs of a paper and compares the results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def run(
     paper: str | None, *, quick: bool, seeds: int, only: Sequence[str], known: Sequence[Path], out: Path | None,
     resume: Path | None, device: str | None, processes: int | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Reproduce a paper, or go on with it, and print the report."""
+    """Start or continue the reproduction of a paper, and print its report."""
     progress = ProgressBar()
     tell = None if quiet else progress
     try:

@@ -1,4 +1,4 @@
-"""`warpcrete run`: a scene, its recorders, a run folder, a report; and going on after a cut."""
+"""Command `warpcrete run`: simulates a scene into a run folder and prints a report, or continues an interrupted run."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from ..studies.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
         "pipeline_other", "checkpoint_every", "threads")  # fmt: skip
-"""Settings that scene.json keeps for a resumed run."""
+"""Settings stored in scene.json for a resumed run."""
 CHECK_FAILED = 3
-"""Exit code of a finished run that one of the scene's checks does not accept."""
+"""Exit code of a finished run that failed one of the scene's checks."""
 INTERRUPTED = 130
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
-    """Go on with an interrupted run, in its folder; `live` shows it from here on."""
+    """Continue an interrupted run in its folder; `live` opens a viewer from here on."""
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
     record, module = repeatable_scene(folder / "scene.json", modules)
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': that run is finished")
     settings = dict(record.get("command", {}))
-    settings = {kind.name: False for kind in RECORDERS} | settings  # recorders that came after that run
+    settings = {kind.name: False for kind in RECORDERS} | settings  # Recorders that the old run did not have are off.
     if set(settings) != set(KEPT):
         raise RunFolderError(
             f"'{folder / 'scene.json'}': does not say how the run was recorded; "
@@ -59,10 +59,10 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
 def run(
     name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
 ) -> None:
-    """Run a scene into a new folder, or one of the same run that was cut; `going_on` says that it is there.
+    """Run a scene into a new folder, or continue the same run in its folder.
 
-    A cut run goes on from its checkpoint, or begins anew where there is none. `settings` are the values of
-    :func:`warpcrete.cli.options.run_options` by name.
+    An interrupted run continues from its checkpoint, or starts again if there is none. `settings` are the values of
+    :func:`warpcrete.cli.options.run_options` by name. `going_on` states that the folder exists.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
     there = going_on or (folder / "scene.json").is_file()
@@ -132,7 +132,7 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Refuse what no pipeline can be worked out from; the result.json of `pipeline_other`, if that is given."""
+    """Check the pipeline options, and return the contents of the result.json of `pipeline_other`, or None."""
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():
         if value is not None:
@@ -150,13 +150,16 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
 
 
 class PipelineRecorder(Recorder):
-    """Enter the pressure of a pipeline into the result of a finished run, before the table writes it."""
+    """Recorder that adds the pressure of a pipeline to the result of a finished run.
+
+    It must finish before the recorder of the table, which writes the result.
+    """
 
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Work it out from the plateau, if there is one."""
+        """Compute the pipeline's pressure from the plateau of the run, if there is one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             if estimate is not None:
@@ -164,7 +167,7 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the pressure of the pipeline as a line of the report."""
+    """Return the pressure of the pipeline as lines of the report."""
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
@@ -175,7 +178,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
 
 
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
-    """Print what people look at first; `more` are labels and texts to come after what the method reports."""
+    """Print the main results of a run; `more` holds labels and texts that follow the method's own report."""
     result = run.result
 
     def show(label: str, text: str) -> None:

@@ -1,4 +1,4 @@
-"""`warpcrete study`: options with several values, a study, its table."""
+"""Command `warpcrete study`: runs a scene for all combinations of parameter values and prints a table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .options import check_scene, quantity_of
 from .run import CHECK_FAILED, INTERRUPTED
 
 CASE_FAILED = 1
-"""Exit code of a study of which a case ended with an error."""
+"""Exit code of a study in which a case ended with an error."""
 RECORDED = tuple(kind.name for kind in RECORDERS)
 FLAGS = ("one-at-a-time", *RECORDED, "quiet")
 ON_WORKERS = {"scheduler": str, "workers": int}
@@ -37,7 +37,7 @@ SETTINGS = {
 
 
 WHERE = ("processes", *ON_WORKERS)
-"""Settings that say where cases run, which a study may go on with others of."""
+"""Settings that determine where cases run; they may change when a study is continued."""
 
 
 def _where(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def _where(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
-    """Scene name, if any, and the values that follow each `--option`."""
+    """Return the scene's name, or None, and the values that follow each `--option`."""
     scene = None
     options: dict[str, list[str]] = {}
     current: list[str] | None = None
@@ -71,7 +71,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Run, or go on with, a study, and print its table."""
+    """Start or continue a study, and print its table."""
     scene, options = parsed(arguments)
     settings = _taken(options)
     progress = ProgressBar()
@@ -98,7 +98,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def report(study: Study) -> None:
-    """Print the table and what failed."""
+    """Print the table and the failed cases."""
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
@@ -108,7 +108,7 @@ def report(study: Study) -> None:
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that take one value each, taken out of `options` and converted."""
+    """Remove the settings that take a single value from `options`, and return them converted."""
     found = {}
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
@@ -119,7 +119,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
 
 
 def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
-    """Flags and settings of the study, taken out of `options`, which then holds the scene's parameters."""
+    """Remove the study's flags and settings from `options`, and return them; only the scene's parameters remain."""
     settings: dict[str, Any] = {}
     for name in FLAGS:
         values = options.pop(name, None)
@@ -174,7 +174,7 @@ def _begun(
 
 
 def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
-    """Parameters of a scene by each name that they have, those of contact laws among the options included."""
+    """Return the parameters of a scene by all their names, including those of contact laws among the options."""
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
         found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)

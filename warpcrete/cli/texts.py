@@ -1,4 +1,4 @@
-"""Texts of the command's help."""
+"""Help texts of the command line."""
 
 MIX_HELP = """What follows from a mix: `warpcrete mix MIX.yaml`.
 

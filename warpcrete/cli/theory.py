@@ -1,4 +1,4 @@
-"""`warpcrete theory`: the closed form of a Bingham fluid with a slip layer."""
+"""Command `warpcrete theory`: the closed-form solution for a Bingham fluid with a slip layer."""
 
 from __future__ import annotations
 
@@ -22,19 +22,23 @@ from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady,
 from ..theory.segregated import segregation_table
 
 THIXOTROPY = 0.5
-"""A_thix of a concrete between those that stiffen and those that stiffen strongly (Roussel 2006) [Pa/s]."""
+"""A_thix [Pa/s] of a concrete between those that stiffen and those that stiffen strongly at rest (Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
-"""Fields of a line that have the same name there and here; its radius is half of the diameter."""
+"""Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
+parameter `diameter`."""
 
 
 def fields() -> dict[str, Field]:
-    """Parameters by name: those of the scenes `channel` and `tube` as far as the closed form knows them."""
+    """Return the parameters of the command by name.
+
+    They are those parameters of the scenes `channel` and `tube` that the closed form uses.
+    """
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
 
 def option_amount(field: str, given: str | None, unit: str) -> float | None:
-    """Return what an option gives as a number in `unit`, or None where it is not given."""
+    """Return the value of an option as a number in `unit`, or None if the option is missing."""
     if given is None:
         return None
     found = amount(field, given, unit)
@@ -43,7 +47,7 @@ def option_amount(field: str, given: str | None, unit: str) -> float | None:
 
 
 def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
-    """Return what an option that may be repeated gives as numbers in `unit`."""
+    """Return the values of a repeatable option as numbers in `unit`."""
     return [found for each in given if (found := option_amount(field, each, unit)) is not None]
 
 
@@ -52,9 +56,11 @@ def run(
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
-    """Print the table for the parameters `given`, others at their defaults; with `fit`, a file of points that were
-    measured, for the slip layer that they ask for; with `rest` [s] the restart after it, too; with `segregation` what
-    `aggregate` of the volume does to the pressure when it is apart."""
+    """Print the closed-form solution for the parameters `given`, with defaults for the others.
+
+    With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the restart after
+    that time is added. With `segregation`, the effect on the pressure is added, for a share `aggregate` of the volume.
+    """
     growth = growth_of(rest, thixotropy)
     known = fields()
     values = {name: field.default for name, field in known.items()} | resolved(known, given)
@@ -65,7 +71,7 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    if fit is not None:  # what is looked for need not be given
+    if fit is not None:  # The slip layer is fitted and need not be stated.
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
     for flow in flows:
@@ -87,7 +93,7 @@ def run(
 
 
 def _share(given: float | None, name: str) -> float:
-    """Of aggregate in the volume, as given or as a mix has it."""
+    """Return the share of aggregate in the volume, as stated or from the mix of a concrete."""
     if given is not None:
         return given
     mix = mix_named(name)
@@ -98,14 +104,14 @@ def _share(given: float | None, name: str) -> float:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """A_thix [Pa/s], that given or a usual one; refused without a rest."""
+    """Return A_thix [Pa/s], stated or usual; refuse a stated value without a time of rest."""
     if thixotropy is not None and rest is None:
         refuse("thixotropy", thixotropy, "means nothing without rest", "--rest 600")
     return THIXOTROPY if thixotropy is None else thixotropy
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
-    """The concrete with the slip layer that measured points ask for; prints how well it meets them."""
+    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit."""
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]

@@ -1,4 +1,4 @@
-"""`warpcrete trade`: speed against accuracy of a scene, within a budget of time."""
+"""Command `warpcrete trade`: speed against accuracy of a scene, measured within a limited time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SEVERAL = ("quantity", "knob")
 
 
 def seconds(text: str) -> float:
-    """Seconds of '90s', '20min' or '1.5h'."""
+    """Return the number of seconds in a text such as '90s', '20min' or '1.5h'."""
     found = re.fullmatch(r"([0-9.]+(?:e-?[0-9]+)?) ?(s|min|h)", text.strip())
     try:
         return float(found.group(1)) * UNITS[found.group(2)]  # type: ignore[union-attr]
@@ -33,7 +33,7 @@ def seconds(text: str) -> float:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Make, or go on with, a trade, and print its tables."""
+    """Start or continue a trade-off of speed against accuracy, and print its tables."""
     scene, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)
@@ -86,7 +86,7 @@ def _resumed(
 
 
 def report(trade: Trade) -> None:
-    """Print the tables and where the rest is."""
+    """Print the tables and the path of the folder."""
     click.echo()
     if trade.points and trade.given.results:
         click.echo(table(trade))

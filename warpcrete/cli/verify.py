@@ -1,4 +1,4 @@
-"""`warpcrete verify`: our answers beside published and closed-form ones."""
+"""Command `warpcrete verify`: comparison of results with published and closed-form answers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..verification import flow_extremes
 from ..verification.figure import draw
 
 FAILED = 1
-"""Exit code where one of our answers is off."""
+"""Exit code if one of the results is wrong."""
 
 
 def run(device: str | None, precision: str, only: str, quick: bool, extremes: bool, out: Path | None) -> None:
-    """Run the chosen cases, print their table, and write it with a figure into `out`."""
+    """Run the selected cases, print their table, and write the table with a figure into the folder `out`."""
     if out is not None:
         check_new(out)
     found = find_device(device)

@@ -1,1 +1,1 @@
-"""Axes, meshes and walls: one description for every method."""
+"""Geometry shared by both methods: pipe axes, triangle meshes, walls, and pipelines read from files."""

@@ -1,4 +1,4 @@
-"""Pipe axes: lines and arcs in a row, and the tube meshes around them."""
+"""Pipe axes made of straight lines and circular arcs, and triangle meshes of the tubes around them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ..core.errors import between, positive, refuse, vector
 
 @dataclass(frozen=True)
 class Line:
-    """Straight piece."""
+    """Straight piece of a pipe's axis."""
 
     length: float
-    """[m]"""
+    """Length of the straight piece [m]."""
 
     def __post_init__(self) -> None:
         positive("length", self.length, "m")
@@ -22,14 +22,17 @@ class Line:
 
 @dataclass(frozen=True)
 class Arc:
-    """Bend towards a direction."""
+    """Circular bend of a pipe's axis."""
 
     radius: float
-    """Of the centreline [m]."""
+    """Radius of the bend's centreline [m]."""
     angle: float
-    """[rad]"""
+    """Angle by which the bend turns the axis [rad]."""
     towards: tuple[float, float, float]
-    """Direction from the start of the bend to its centre (made perpendicular to the axis)."""
+    """Direction from the start of the bend to its centre, shape (3,).
+
+    Only the part of this vector perpendicular to the axis counts.
+    """
 
     def __post_init__(self) -> None:
         positive("elbow radius", self.radius, "m")
@@ -38,13 +41,16 @@ class Arc:
 
     @property
     def length(self) -> float:
-        """Of the centreline [m]."""
+        """Length of the bend's centreline [m]."""
         return self.radius * self.angle
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Centreline of a pipe. Its ends go on straight without bound when a pipe's surface is exact."""
+    """Centreline of a pipe, with a start point [m], a unit tangent there and a row of lines and arcs.
+
+    Beyond both ends the axis continues straight without limit, so that an exact pipe surface has no end caps.
+    """
 
     start: tuple[float, float, float]
     tangent: tuple[float, float, float]
@@ -59,11 +65,14 @@ class Axis:
 
     @property
     def length(self) -> float:
-        """[m]"""
+        """Length of the centreline from its start to its end [m]."""
         return sum(piece.length for piece in self.pieces)
 
     def segments(self) -> list[dict]:
-        """Each piece with its start, tangent and, for arcs, `outward` (unit vector from its centre)."""
+        """Return every piece of the axis with its start [m] and its unit tangent there.
+
+        An arc also has `outward`, the unit vector from the arc's centre to its start; a line has zeros there.
+        """
         x, tangent = np.array(self.start), np.array(self.tangent)
         result = []
         for piece in self.pieces:
@@ -84,18 +93,21 @@ class Axis:
         return result
 
     def hinges(self) -> np.ndarray:
-        """Unit normals of the planes that its arcs lie in, shape (arcs, 3)."""
+        """Return the unit normals of the planes in which the arcs lie, shape (arcs, 3)."""
         found = [np.cross(x["outward"], x["tangent"]) for x in self.segments() if isinstance(x["piece"], Arc)]
         return np.reshape(found, (-1, 3))
 
     @property
     def is_plane(self) -> bool:
-        """Does it lie in one plane?"""
+        """Return whether the whole axis lies in one plane."""
         hinges = self.hinges()
         return bool(np.all(np.abs(np.cross(hinges[:1], hinges)) < 1e-9))
 
     def at(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Points and unit tangents at arc lengths `s` [m], shape (n,); before and after the ends: straight on."""
+        """Return points and unit tangents at arc lengths `s` [m], shape (n, 3) each.
+
+        The axis is straight beyond its ends.
+        """
         s = np.atleast_1d(np.asarray(s, dtype=float))
         points, tangents = np.empty((len(s), 3)), np.empty((len(s), 3))
         begin = 0.0
@@ -113,7 +125,7 @@ class Axis:
                 points[here] = segment["start"] + along[:, None] * segment["tangent"]
                 tangents[here] = segment["tangent"]
             else:
-                # The extension of an end arc is straight.
+                # If the axis begins or ends with an arc, its extension beyond that end is straight.
                 inside = np.clip(along, 0.0, piece.length)
                 angle = inside[:, None] / piece.radius
                 outward, tangent = segment["outward"], segment["tangent"]
@@ -125,18 +137,25 @@ class Axis:
         return points, tangents
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
-        """Point of the axis, its straight extensions included, that is nearest to each of `points`, shape (n, 3)."""
+        """Return the point of the axis that is nearest to each of `points` [m], shape (n, 3).
+
+        The straight extensions beyond the ends belong to the axis.
+        """
         return self.projected(points)[0]
 
     def along(self, points: np.ndarray) -> np.ndarray:
-        """Arc length of that point of the axis [m], negative before its start, shape (n,)."""
+        """Return the arc length [m] of the point of the axis nearest to each of `points` (n, 3), shape (n,).
+
+        Points nearest to the extension before the start of the axis have a negative arc length.
+        """
         points = np.atleast_2d(np.asarray(points, dtype=float))
         rows = self.parametrised()
         if len(rows) == 1 and not rows[0]["arc"]:
             return rows[0]["begin"] + (points - rows[0]["start"]) @ rows[0]["tangent"]
         length, distance = np.zeros(len(points)), np.full(len(points), np.inf)
         for row in rows:
-            # Along, outwards and across, number by number: of many points that takes a third of the time of vectors.
+            # Compute the components along the axis, outwards and across as separate numbers. For many points, this
+            # takes a third of the time of operations on vectors.
             local = points - (row["start"] - row["radius"] * row["outward"])
             a, b = local @ row["tangent"], local @ row["outward"]
             if row["arc"]:
@@ -153,12 +172,18 @@ class Axis:
         return length
 
     def projected(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both :meth:`nearest` and :meth:`along` of points."""
+        """Return the points of the axis nearest to `points` (n, 3), and their arc lengths.
+
+        Both are in metres, with shapes (n, 3) and (n,); they equal the results of :meth:`nearest` and :meth:`along`.
+        """
         s = self.along(points)
         return self.at(s)[0], s
 
     def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Points, tangents and two unit normals at arc lengths `s`, each shape (n, 3); frames do not twist."""
+        """Return points, tangents and two unit normals at arc lengths `s` [m], shape (n, 3) each.
+
+        The normals do not twist about the axis.
+        """
         points, tangents = self.at(s)
         bends = [segment["outward"] for segment in self.segments() if isinstance(segment["piece"], Arc)]
         first = bends[0] if bends else np.eye(3)[np.argmin(np.abs(self.tangent))]
@@ -170,12 +195,15 @@ class Axis:
         return points, tangents, np.cross(sides, tangents), sides
 
     def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
-        """A unit normal of the axis' start, carried along without twist to arc lengths `s` [m], shape (n, 3)."""
+        """Return the unit normal `side` of the axis' start, transported along the axis without twist.
+
+        The result holds the normals at the arc lengths `s` [m], shape (n, 3).
+        """
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0
         for segment in self.segments():
             piece = segment["piece"]
-            # Later pieces overwrite what lies beyond this one.
+            # Each piece fills all places beyond its start, and the next piece overwrites those beyond its own start.
             beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
             turn = np.zeros(np.count_nonzero(beyond))
             hinge = np.zeros(3)
@@ -188,9 +216,10 @@ class Axis:
         return found
 
     def parametrised(self) -> list[dict]:
-        """Segments with the range that counts as each: lines [m], arcs [rad]; end lines have no end.
+        """Return the pieces of the axis, each with the limits of its parameter.
 
-        An axis that begins or ends with an arc goes on straight there.
+        The parameter is the length [m] along a line or the angle [rad] along an arc. A line at an end of the axis has
+        no limit there. If the axis begins or ends with an arc, an unlimited straight line is added at that end.
         """
         rows = []
         segments = self.segments()
@@ -219,11 +248,11 @@ class Axis:
     def tube(
         self, radius: float, facets: int = 64, before: float = 0.0, after: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle mesh of the pipe's inner surface, open at both ends, normals inward.
+        """Return a triangle mesh of the pipe's inner surface, open at both ends, with normals inward.
 
-        Vertices lie on the circle of `radius` [m]; `facets` round, and as long as wide along bends. The tube
-        starts `before` [m] ahead of the axis and ends `after` [m] behind it. Returns vertices (v, 3) and
-        faces (f, 3).
+        The vertices lie on circles of `radius` [m] with `facets` facets each. Along bends the facets are as long as
+        they are wide. The tube starts `before` [m] ahead of the axis and ends `after` [m] behind it. The result holds
+        vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         between("facets", facets, 3, 100_000)
         width = 2 * np.pi * radius / facets
@@ -239,10 +268,10 @@ class Axis:
         return self.swept(np.array(stations), radius, facets)
 
     def swept(self, stations: np.ndarray, radius: np.ndarray | float, facets: int) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle mesh, open at both ends and with normals inward, through rings of vertices at arc lengths [m].
+        """Return a triangle mesh through rings of vertices around the axis, open at both ends, with normals inward.
 
-        `radius` of the rings [m] is one number or one for each of the `stations`. Returns vertices (v, 3) and faces
-        (f, 3).
+        The rings lie at the arc lengths `stations` [m], shape (n,). Their `radius` [m] is one number or one for each
+        ring. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         points, _, normal, side = self.frame(stations)
         angle = 2 * np.pi * np.arange(facets) / facets
@@ -263,6 +292,6 @@ class Axis:
 
 
 def _turned(vector: np.ndarray, about: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """A vector (3,) turned about a unit vector by angles (n,) [rad] (Rodrigues), shape (n, 3)."""
+    """Rotate a vector (3,) about a unit vector by angles (n,) [rad] with Rodrigues' formula; return shape (n, 3)."""
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     return c * vector + s * np.cross(about, vector) + (1 - c) * (about @ vector) * about

@@ -1,4 +1,4 @@
-"""How wide a round pipe is along its axis: straight pieces and cones, their volumes and surfaces."""
+"""Inner radius of a round pipe along its axis, made of straight pieces and cones, with volumes and surfaces."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ..core.errors import refuse
 from .axis import Arc, Axis
 
 FACETS = 32
-"""Round a pipe that is made of triangles."""
+"""Number of facets around the circumference of a pipe that is drawn with triangles."""
 FINE = 400
-"""Places at which a volume is inverted."""
+"""Number of arc lengths at which the volume of a pipe is tabulated to find where a given part of it ends."""
 
 
 @dataclass(frozen=True)
 class Bores:
-    """Inner radii of a pipe at arc lengths, and cones between; before the first and behind the last it goes on."""
+    """Inner radius of a pipe along its axis, linear between given arc lengths and constant before and behind them."""
 
     places: tuple[float, ...]
-    """Arc lengths, rising [m]."""
+    """Arc lengths at which the radius is given, increasing [m]."""
     radii: tuple[float, ...]
-    """[m]"""
+    """Inner radii of the pipe at these arc lengths [m]."""
 
     def __post_init__(self) -> None:
         if len(self.places) != len(self.radii) or not self.places or np.any(np.diff(self.places) <= 0):
@@ -32,41 +32,44 @@ class Bores:
 
     @property
     def smallest(self) -> float:
-        """[m]"""
+        """Smallest inner radius of the pipe [m]."""
         return min(self.radii)
 
     @property
     def largest(self) -> float:
-        """[m]"""
+        """Largest inner radius of the pipe [m]."""
         return max(self.radii)
 
     @property
     def is_straight(self) -> bool:
-        """Is it as wide everywhere?"""
+        """Return whether the pipe has the same radius everywhere."""
         return self.smallest == self.largest
 
     def at(self, s: np.ndarray | float) -> np.ndarray:
-        """Radii at arc lengths [m], shape as `s`."""
+        """Return the inner radii of the pipe at arc lengths `s` [m], with the shape of `s`."""
         return np.asarray(np.interp(s, self.places, self.radii))
 
     def _edges(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the cones from one arc length to another, and the radii there [m]."""
+        """Return the arc lengths that bound the cones between `begin` and `end`, and the radii there [m]."""
         places = np.array(self.places)
         s = np.concatenate([[begin], places[(places > begin) & (places < end)], [end]])
         return s, self.at(s)
 
     def volume(self, begin: float, end: float) -> float:
-        """Between two arc lengths [m3]; a bend does not change it (Pappus)."""
+        """Return the volume between two arc lengths [m3]; a bend does not change the volume (Pappus)."""
         s, r = self._edges(begin, end)
         return float(np.pi / 3 * np.sum(np.diff(s) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)))
 
     def surface(self, begin: float, end: float) -> float:
-        """Of the wall between two arc lengths [m2], likewise."""
+        """Return the area of the wall between two arc lengths [m2]; a bend does not change the area (Pappus)."""
         s, r = self._edges(begin, end)
         return float(np.pi * np.sum((r[1:] + r[:-1]) * np.hypot(np.diff(s), np.diff(r))))
 
     def spread(self, parts: np.ndarray, length: float) -> np.ndarray:
-        """Arc lengths [m] before which lie these `parts` (n,) of the volume of the first `length` [m]."""
+        """Return the arc lengths [m] before which given shares of a pipe's volume lie.
+
+        `parts` (n,) are shares of the volume of the first `length` [m] of the pipe.
+        """
         s = np.union1d(np.linspace(0, length, FINE), [p for p in self.places if 0 < p < length])
         slices = (
             np.pi / 3 * np.diff(s) * (self.at(s[1:]) ** 2 + self.at(s[1:]) * self.at(s[:-1]) + self.at(s[:-1]) ** 2)
@@ -77,19 +80,23 @@ class Bores:
     def mesh(
         self, axis: Axis, facets: int = FACETS, before: float = 0.0, after: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle mesh of the wall, open at both ends, normals inward, of the round pipe's volume.
+        """Return a triangle mesh of the wall that encloses the same volume as the round pipe.
 
-        It starts `before` [m] ahead of the axis and ends `after` [m] behind it. Returns vertices (v, 3) and faces
-        (f, 3).
+        The mesh is open at both ends and its normals point inward. It starts `before` [m] ahead of the axis and ends
+        `after` [m] behind it. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         return self.mesh_between(axis, -before, axis.length + after, facets)
 
     def mesh_between(self, axis: Axis, start: float, stop: float, facets: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same from one arc length to another [m]."""
+        """Return a triangle mesh of the wall between two arc lengths [m]: vertices [m] (v, 3) and faces (f, 3).
+
+        The mesh is open at both ends, its normals point inward, and it encloses the volume of the round pipe.
+        """
         rings = [[start], [stop]] + [[p] for p in self.places if 0 < p < axis.length]
         begin = 0.0
         for piece in axis.pieces:
-            # As long as wide where it bends; elsewhere boxes of the search must not become long.
+            # Facets in bends are as long as they are wide. Straight facets are limited to four radii in length, because
+            # the bounding boxes of long triangles slow down mesh queries.
             width = 2 * np.pi * self.largest / facets if isinstance(piece, Arc) else 4 * self.largest
             rings.append(list(np.linspace(begin, begin + piece.length, max(2, 1 + int(np.ceil(piece.length / width))))))
             begin += piece.length
@@ -97,6 +104,7 @@ class Bores:
         s = s[(s >= start) & (s <= stop)]
         s = s[np.concatenate([[True], np.diff(s) > 1e-3 * self.smallest])]
         s[-1] = stop
-        # The area of a polygon whose corners are r away is n r^2 sin(2 pi / n) / 2.
+        # A regular polygon whose n corners have the distance r from its centre has the area n r^2 sin(2 pi / n) / 2.
+        # The radius is scaled so that the polygon has the area of the circle.
         wider = np.sqrt(2 * np.pi / (facets * np.sin(2 * np.pi / facets)))
         return axis.swept(s, wider * self.at(s), facets)

@@ -1,4 +1,4 @@
-"""Cleaning of triangle meshes: one corner for each place, one triangle for each surface."""
+"""Cleaning of triangle meshes: merge coincident corners, then remove repeated triangles and those without area."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ import itertools
 import numpy as np
 
 COINCIDENT = 1e-6
-"""Distance below which two corners are one, over the largest coordinate of the mesh. STL files in single precision are
-exact to 6e-8."""
+"""Distance below which two corners of a mesh are merged, relative to the largest coordinate of the mesh. STL files in
+single precision have a relative accuracy of 6e-8."""
 
 
 def default_tolerance(vertices: np.ndarray) -> float:
-    """Return the distance [m] below which :func:`clean` takes two corners of this mesh for one."""
+    """Return the distance [m] below which :func:`clean` merges two corners of a mesh."""
     return COINCIDENT * float(np.abs(vertices).max(initial=0.0))
 
 
 def clean(
     vertices: np.ndarray, faces: np.ndarray, tolerance: float | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Merge coincident corners of a mesh, then drop triangles without area and repeated ones.
+    """Merge coincident corners of a mesh, then remove repeated triangles and triangles without area.
 
-    Two triangles with the same three corners are repeated, whichever way they wind: the first one stays. A mesh that
-    has no such fault keeps its arrays bit by bit.
+    Two triangles with the same three corners count as repeated, whichever way they wind, and the first one stays. A
+    mesh without such faults keeps its arrays bit by bit.
 
     Args:
         vertices: Corners [m], shape (v, 3).
         faces: Corner numbers of each triangle, shape (f, 3).
-        tolerance: Distance below which two corners become one, and height below which a triangle has no area [m];
-            :func:`default_tolerance` of the mesh if None.
+        tolerance: Distance below which two corners are merged, and height below which a triangle has no area [m]; the
+            default is :func:`default_tolerance` of the mesh.
 
     Returns:
-        The corners that are still used [m], shape (w, 3); the triangles, shape (g, 3); and for each of these triangles
-        its number in `faces`, shape (g,), increasing.
+        The corners still in use [m], shape (w, 3); the remaining triangles, shape (g, 3); and the number of each
+        remaining triangle in `faces`, increasing, shape (g,).
     """
     if tolerance is None:
         tolerance = default_tolerance(vertices)
@@ -48,15 +48,16 @@ def clean(
 
 
 def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return for each corner the lowest number of a corner at its place, shape (v,).
+    """Return for each corner the lowest number of all corners at the same place, shape (v,).
 
-    Corners closer than half the `tolerance` [m] in each direction are always merged; none that are farther apart than
-    the tolerance in one direction are, unless others lie between them.
+    Corners whose coordinates all differ by less than half the `tolerance` [m] are always merged. Corners with a
+    coordinate that differs by more than the tolerance are merged only through corners between them.
     """
     lowest = np.arange(len(vertices))
     if tolerance <= 0 or len(vertices) == 0:
         return lowest
-    # Corners that lie close together share a cell in at least one of eight grids, which are shifted by half a cell.
+    # Two corners close together may lie on both sides of a cell border, so eight grids are used, shifted by half a
+    # cell. In at least one of these grids both corners lie in the same cell.
     places = (vertices - vertices.min(axis=0)) / tolerance
     grids = [_cells(places + np.array(shift)) for shift in itertools.product((0.0, 0.5), repeat=3)]
     while True:
@@ -70,7 +71,7 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return the number of the unit cell that holds each of `places` (n, 3), counted over the cells in use."""
+    """Return the number of the unit cell that holds each of `places` (n, 3); only occupied cells are numbered."""
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:
         _, column = np.unique(axis, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Where a pipe comes near itself."""
+"""Check where a pipe comes close to itself."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import numpy as np
 from .axis import Axis
 
 HALF_TURN = 0.51 * math.pi
-"""Way along a line over the pipe's diameter within which it is near itself, however it bends."""
+"""Distance along the axis, in pipe diameters, within which a bent pipe may be close to itself without crossing
+itself."""
 
 
 def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
-    """Numbers of the first two spans, from 0, between whose walls there is no `gap` [m]; None where there are none.
+    """Return the numbers, from 0, of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
 
-    A span of an axis has a length, a diameter [m], and places along it between which it is taken to be straight; one
-    begins where the one before it ends.
+    A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.
+    Between these points the axis is taken to be straight. Each span begins where the one before it ends.
     """
     begin = 0.0
     places = []
@@ -34,7 +35,8 @@ def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 
     for k in range(len(edges)):
         later = np.arange(k + 1, len(edges))
         apart = 0.5 * (wide[k] + wide[later]) + gap
-        # What follows along the tightest bend, of half a diameter, is nearer than a diameter for half a turn.
+        # The tightest bend has a radius of half a diameter. On such a bend, sections less than half a turn apart are
+        # always closer than a diameter, so only sections farther along the axis are compared.
         far = start[later] - end[k] > HALF_TURN * apart
         near = later[far][distances(ends[k], ends[later[far]]) < apart[far]]
         if len(near):
@@ -43,7 +45,7 @@ def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 
 
 
 def distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Least distances [m] of a segment (2, 3) from each of others (n, 2, 3) (Ericson 2005, 5.1.9)."""
+    """Return the shortest distances [m] of a segment (2, 3) from other segments (n, 2, 3) (Ericson 2005, 5.1.9)."""
     first, second, between = one[1] - one[0], others[:, 1] - others[:, 0], one[0] - others[:, 0]
     a, e, f = first @ first, np.sum(second**2, 1), np.sum(second * between, 1)
     b, c = second @ first, between @ first

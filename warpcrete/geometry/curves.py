@@ -1,4 +1,4 @@
-"""Smooth curves through points, made of arcs and straight pieces."""
+"""Smooth curves through points, made of circular arcs and straight pieces."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from .axis import Arc, Line
 
 FLAT = 1e-6
-"""Turn of a piece below which it is straight [rad]."""
+"""Turning angle below which a piece of a curve is made straight [rad]."""
 
 
 def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
-    """Pieces of a curve through points (n, 3) [m], the first of which is its start, where it has a unit `tangent`.
+    """Return the pieces of a smooth curve through `points` (n, 3) [m] that starts with the unit vector `tangent`.
 
-    Between two points lie two arcs that meet without a kink (biarcs of equal tangent lengths, Bolton 1975), which in
-    general lie in two planes. Where a curve passes a point it has the direction of the circle through that point and
-    its neighbours, so points of a circle give that circle.
+    Two arcs that meet without a kink join each pair of neighbouring points (biarcs of equal tangent lengths, Bolton
+    1975); in general the two arcs lie in different planes. At an inner point, the curve has the direction of the circle
+    through that point and its two neighbours, so that points on a circle give that circle.
     """
     pieces: list[Line | Arc] = []
     tangents = _tangents(points, tangent)
@@ -27,7 +27,7 @@ def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
 
 
 def begins(points: np.ndarray) -> np.ndarray:
-    """Unit tangent at the first of points (n, 3) that they themselves ask for."""
+    """Return the unit tangent at the first of `points` (n, 3): that of the circle through the first three points."""
     chord = _unit(points[1] - points[0])
     if len(points) == 2:
         return chord
@@ -44,13 +44,17 @@ def _tangents(points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
 
 
 def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Direction of the circle through three points in the middle one."""
+    """Return the unit tangent, at the middle one of three points, of the circle through them."""
     one, other = here - before, after - here
     return _unit(_unit(one) * np.linalg.norm(other) + _unit(other) * np.linalg.norm(one))
 
 
 def joining(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
-    """Two arcs from one point and tangent to another; their tangents are of equal length d, |q1 q2| = 2 d."""
+    """Return two arcs (a biarc) from a point with unit tangent `t0` to a point with unit tangent `t1`.
+
+    The control points q1 = begin + d t0 and q2 = end - d t1 have the distance 2 d, which gives a quadratic equation for
+    d. The arcs meet in the middle between q1 and q2.
+    """
     chord, both = end - begin, t0 + t1
     bent = 2 * (1 - float(t0 @ t1))
     if bent < 1e-12:
@@ -75,7 +79,7 @@ def _arc(begin: np.ndarray, tangent: np.ndarray, end: np.ndarray) -> Line | Arc:
 
 
 def _after(arc: Arc, tangent: np.ndarray) -> np.ndarray:
-    """Tangent at the end of an arc."""
+    """Return the unit tangent at the end of an arc that starts with the unit vector `tangent`."""
     return math.cos(arc.angle) * tangent + math.sin(arc.angle) * np.array(arc.towards)
 
 

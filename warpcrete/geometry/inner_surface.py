@@ -1,4 +1,4 @@
-"""Inner surface of a pipe, cut out of a mesh that may have a wall thickness, lids, or several skins."""
+"""Inner surface of a pipe, extracted from a triangle mesh that may also have an outer skin, lids or several skins."""
 
 from __future__ import annotations
 
@@ -10,39 +10,40 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 WIDEST_ERROR = 0.1
-"""Part of a pipe's radius by which a mesh in its place may differ from it."""
+"""Largest difference between the bore of a mesh and the pipe it stands for, as a share of the pipe's radius."""
 AROUND = 24
-"""Directions in which a section is measured."""
+"""Number of directions in which the wall's distance is measured at each cross-section."""
 INSET = 1e-3
-"""Distance over the radius that sections keep from a rim or lid, where a ray may miss."""
+"""Distance in radii that cross-sections keep from a rim or lid, because rays exactly there may miss the wall."""
 SHORT = 0.02
-"""Length over the radius by which a mesh may end before the part does."""
+"""Length in radii by which a mesh may be shorter than the part it stands for."""
 ACROSS, NEAR = 0.9, 0.1
-"""A facet closes a pipe if the cosine between its normal and the axis is above the first, and if it lies beyond an end
-or nearer to it than the second, over the radius."""
+"""Limits that identify a facet of a lid: the cosine between its normal and the axis must exceed the first number, and
+the facet must lie beyond an end of the pipe or nearer to it than the second number in radii."""
 SEEN = 1e-3
-"""Distance over the radius within which a facet hides nothing behind it."""
+"""Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4
-"""Distance over the radius from a facet at which it is looked at, on both of its sides."""
+"""Distance in radii, on both sides of a facet, of the points from which its visibility is tested."""
 CORNERS = 0.8
-"""Share of a corner in the points, besides the middle, at which a facet is looked at."""
+"""Weight of a corner in a mean of a triangle's corner and centre. At these means, and at the centre, the visibility of
+the triangle is tested."""
 
 
 class InnerSurface:
-    """Facets of a mesh that the axis of a pipe sees, with the way to measure the bore that they enclose.
+    """Facets of a mesh that are visible from a pipe's axis, with queries that measure the bore that they enclose.
 
-    A mesh of a real pipe has more surfaces than the bore: the outer skin, rims, lids. A facet belongs to the inner
-    surface if nothing lies between it and the nearest point of the axis, and if it does not close an end. Beyond
-    `begin` and `end` the bore goes on as it is there, so that a file may end where the part ends.
+    The mesh of a real pipe has more surfaces than the bore: an outer skin, rims and lids. A facet belongs to the inner
+    surface if nothing lies between the facet and the nearest point of the axis, and if the facet does not close an end.
+    Beyond `begin` and `end` the bore continues with its last cross-section, so that a file may end where the part ends.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
         faces: Corner numbers of each triangle, shape (f, 3).
         axis: The pipe's axis, straight at both ends.
-        radius: What the radius is about [m].
-        field: Field that errors name.
-        name: Value of that field.
-        span: Arc lengths between which the mesh must enclose the axis [m]; from its start to its end if None.
+        radius: Approximate radius of the bore [m].
+        field: Name of the field that error messages show.
+        name: Value of that field in error messages.
+        span: Arc lengths between which the mesh must enclose the axis [m]; the whole axis if None.
 
     Raises:
         SceneError: The mesh has gaps around the axis, ends before the axis does, or a surface crosses the axis.
@@ -76,13 +77,14 @@ class InnerSurface:
         self.faces = corners.reshape(-1, 3)
         """Triangles of the inner surface, shape (m, 3)."""
         self.origin = origin[kept]
-        """Number of each of these triangles in the mesh as it was given, shape (m,)."""
+        """Number of each triangle of the inner surface in the original mesh, shape (m,)."""
         self._queries = SurfaceQueries(self.vertices, self.faces)
 
     def sections(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
-        """Return distances [m] from the axis at arc lengths `s` (n,) to the wall, -1 for none, shape (n, around).
+        """Return the distances [m] from the axis to the wall at arc lengths `s` (n,), shape (n, around).
 
-        Directions k and k + around / 2 are opposite to each other.
+        The rays point in `around` equally spaced directions; directions k and k + around / 2 are opposite. The distance
+        is -1 where a ray meets no wall.
         """
         return self._probed(self._inside(s), around)
 
@@ -91,7 +93,8 @@ class InnerSurface:
         s = self.axis.along(points)
         inner = self._inside(s)
         nearest, tangents = self.axis.at(inner)
-        # The axis is straight beyond its ends: a point there is measured where its section last is the mesh's.
+        # The mesh may end where the axis ends. A point beyond an end is moved back along the straight axis to the last
+        # cross-section that the mesh encloses.
         points = points + ((inner - s)[:, None] * tangents if np.any(inner != s) else 0.0)
         offset = points - nearest
         apart = np.linalg.norm(offset, axis=1)
@@ -101,7 +104,10 @@ class InnerSurface:
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
-        """Return arc lengths moved a little inside the ends, where sections are still those of the bore [m]."""
+        """Return arc lengths [m] limited to the mesh and kept a small distance inside its ends.
+
+        Exactly at a rim or a lid, rays may miss the bore.
+        """
         low, high = max(self.begin, self._low), min(self.end, self._high)
         inset = min(INSET * self._radius, 0.25 * (high - low))
         return np.clip(s, low + inset, high - inset)
@@ -111,7 +117,10 @@ class InnerSurface:
         return self._all.around(points, normal, side, around, FARTHEST_WALL * self._radius)
 
     def _covered(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
-        """Return the arc lengths between which every section is closed, and refuse a mesh that leaves some open."""
+        """Return the arc lengths [m] between which the mesh encloses the axis.
+
+        A mesh with open cross-sections between them is refused.
+        """
         low, high, short = self._low, self._high, SHORT * self._radius
         s = np.linspace(low + short, high - short, max(8, 2 + int(2 * (high - low) / self._radius)))
         missed = np.any(self._probed(s) < 0, axis=1)
@@ -131,7 +140,10 @@ class InnerSurface:
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
-        """Return the arc length next to `beyond` up to which sections are closed, from one that is [m]."""
+        """Return the arc length [m] at which closed cross-sections end, by bisection between two places.
+
+        The cross-section at `closed` is closed; `beyond` lies at or outside the end.
+        """
         if not np.any(self._probed(np.array([beyond])) < 0):
             return beyond
         opened = beyond
@@ -144,7 +156,7 @@ class InnerSurface:
         return closed
 
     def _closes(self, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return which facets close the pipe across its axis, at an end or beyond, shape (f,)."""
+        """Return which facets close the pipe across its axis at an end or beyond, as booleans of shape (f,)."""
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]
         near = NEAR * self._radius
@@ -153,7 +165,7 @@ class InnerSurface:
         return across & ((s < low + near) | (s > high - near))
 
     def _check_free(self, field: str, name: str) -> None:
-        """Refuse a surface that crosses the axis within the part; lids lie at its ends or beyond."""
+        """Refuse a mesh with a surface that crosses the axis inside the part; lids at its ends are allowed."""
         inset = SHORT * self._radius
         low, high = max(self.begin, self._low) + inset, min(self.end, self._high) - inset
         s = np.linspace(low, high, max(8, 2 + int(8 * (high - low) / self._radius)))
@@ -169,11 +181,12 @@ class InnerSurface:
     def _check_closed(
         self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, whole: np.ndarray, kept: np.ndarray
     ) -> None:
-        """Refuse an inner surface with rims between its ends: holes, and edges that hide what lies behind them.
+        """Refuse an inner surface with open edges between its ends.
 
-        `vertices` and `faces` are those of the mesh as it was given, `whole` and `kept` numbers of triangles that have
-        an area and of those that belong to the inner surface. Triangles without area count as well, as they close the
-        edges that CAD programs split.
+        An open edge is either a hole in the mesh, or an edge that hides a part of the wall from the axis. `vertices`
+        and `faces` are those of the original mesh. `whole` holds the numbers of its triangles with an area, and `kept`
+        those of the inner surface. Triangles without area are counted too, because they close edges that CAD programs
+        have split.
         """
         corners = np.sort(merged_corners(vertices, default_tolerance(vertices))[faces], axis=1)
         _, first = np.unique(corners, axis=0, return_index=True)
@@ -198,7 +211,7 @@ class InnerSurface:
                    "from its start", "a bore has no undercuts: fill them")  # fmt: skip
 
     def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Return the numbers of the facets that belong to the inner surface."""
+        """Return the numbers of the facets of the inner surface: visible from the axis and not part of a lid."""
         corners = vertices[faces]
         middles = corners.mean(axis=1)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -220,7 +233,7 @@ class InnerSurface:
 
 
 def equal_radii(sections: np.ndarray) -> np.ndarray:
-    """Return radii of circles that have the area of each row of :meth:`InnerSurface.sections` [m], shape (n,)."""
+    """Return the radii [m] of circles with the area of each row of :meth:`InnerSurface.sections`, shape (n,)."""
     return np.sqrt(np.mean(sections**2, axis=1))
 
 
@@ -229,7 +242,7 @@ def pipe_in(
 ) -> InnerSurface:
     """Return the inner surface of a mesh that must be a pipe of about `radius` [m] along the first `length` [m].
 
-    Raises :class:`SceneError` where it is none, or a tenth wider or narrower than the pipe somewhere.
+    Raises :class:`SceneError` if the mesh is no such pipe, or if its wall differs from `radius` by more than a tenth.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

@@ -1,4 +1,4 @@
-"""Entries of a line's file: their names, units and meaning."""
+"""Entries of a pipeline file: their names, units and meaning."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ TEXTS = {
     "source": "origin of its data",
     "concrete": "name of a concrete, or the path of its file beside this one",
 }
-"""Texts of a line's file, with their meaning."""
+"""Entries of a pipeline file that hold text, with their meaning."""
 AMOUNTS = {
     "recorded": ("Pa", "pressure that was recorded at the pump"),
     "diameter": ("m", "inner diameter of the first part"),
     "flow": ("m3/s", "volume flow"),
     "largest_stone": ("m", "largest stone of the concrete"),
 }
-"""Numbers of a line's file that are above 0, with their units and meaning."""
+"""Entries of a pipeline file that hold positive numbers, with their units and meaning."""
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
 PARTS = {
     "straight": {
@@ -39,7 +39,8 @@ PARTS = {
         "outlet": ("m", "inner diameter behind it"),
     },
 }
-"""Kinds of parts, and the entries of each with their units and meaning; a part without keys states the first."""
+"""Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its
+first entry."""
 LIMITED_AS = {
     "largest_stone": "size_max",
     "recorded": "pressure",
@@ -47,8 +48,8 @@ LIMITED_AS = {
     "outlet": "diameter",
     "radius": "bend_radius",
 }
-"""Names of quantities whose limits hold for entries of another name."""
+"""Quantity whose permitted range also applies to an entry of a different name."""
 MOST_PARTS, MOST_POINTS = 2000, 500
-"""Parts of a line and points of a hose; the longest lines that were pumped have some hundred parts."""
+"""Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")

@@ -1,4 +1,4 @@
-"""A line of pipes, read from a file: its parts, where it goes, and whether they fit."""
+"""Pipelines read from a file: their parts, their course in space, and checks that the parts fit together."""
 
 from __future__ import annotations
 
@@ -25,62 +25,64 @@ from .mesh_parts import MeshBore, bore_of, directions_at, turned
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 SHARPEST = 135.0
-"""Bend that one part may make [degrees]."""
+"""Largest angle of a single bend [degrees]."""
 BLOCKING = 3.0
-"""Diameters over largest stones below which a pipe is known to block (ACI 304.2R asks for 3 of crushed stone)."""
+"""Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
+stone."""
 CURVED = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Diameter over radius of a bend, and what it takes over straight pipe of its length: flows of no1 through bends of 150
-mm at 30 m3/h (the most of three concretes); a hose is counted by it."""
+"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), against the pipe's diameter
+over the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes,
+through bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table."""
 ASKEW = 20.0
-"""Angle between the line and where a hose's points begin to lead, up to which it is taken to begin along the line
-[degrees]."""
+"""Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
+without a kink [degrees]."""
 LAYERS = (0.1, 10.0)
-"""Resistance of a hose's slip layer over that of a pipe, outside which it is warned of."""
+"""Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 PLACES = {"bend": 9, "hose": 33, "bore": 33}
-"""Along a part, between which it is taken to be straight when a line is looked at for crossings."""
+"""Number of points along a part, by its kind, between which the part is taken as straight when crossings are sought."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of a line."""
+    """One part of a pipeline: a straight pipe, bend, reducer, hose or the bore of a mesh."""
 
     number: int
-    """From 1."""
+    """Number of the part in its line, counted from 1."""
     kind: str
     diameter: float
-    """[m]"""
+    """Inner diameter at the start of the part [m]."""
     length: float
-    """Of its axis [m]."""
+    """Length of the part's axis [m]."""
     rise: float
-    """Of its end over its start [m]."""
+    """Height of the part's end above its start [m]."""
     outlet: float
-    """Diameter at its end [m]."""
+    """Inner diameter at the end of the part [m]."""
     radius: float = 0.0
-    """Of a bend [m]."""
+    """Radius of a bend's centreline [m]; 0 for other parts."""
     angle: float = 0.0
-    """Of a bend [degrees]."""
+    """Angle of a bend [degrees]; 0 for other parts."""
     curving: float = 1.0
-    """Of a hose: what it takes over straight pipe of its length."""
+    """Pressure loss of a hose relative to a straight pipe of the same length; 1 for other parts."""
     layer: float = 1.0
-    """Of a hose: its slip layer's resistance over that of a pipe."""
+    """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
     mesh: MeshBore | None = None
-    """Of a bore from a mesh file."""
+    """Bore that a mesh file describes; None for other parts."""
 
     @property
     def narrow(self) -> float:
-        """Least that is free across its axis [m]."""
+        """Smallest clear width across the part's axis [m]."""
         return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
 
     @property
     def by_length(self) -> bool:
-        """Is what it loses that of so many metres of pipe?"""
+        """Return whether the part's pressure loss is proportional to its length."""
         return self.kind in ("straight", "hose")
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the part in words."""
         if self.kind == "bend":
             return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
         if self.kind == "reducer":
@@ -95,7 +97,7 @@ class Part:
 
     @property
     def alike(self) -> tuple[Any, ...]:
-        """The same for parts that lose the same, a straight one by the metre."""
+        """Key that is equal for parts with equal pressure loss; straight parts are compared per metre."""
         if self.by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""
@@ -104,38 +106,38 @@ class Part:
 
 @dataclass(frozen=True)
 class PipeLine:
-    """Parts in a row; SI units."""
+    """Pipeline: a row of parts with its axis in space, in SI units."""
 
     name: str
     parts: tuple[Part, ...]
     axis: Axis
     flow: float | None = None
-    """[m3/s]"""
+    """Volume flow [m3/s]."""
     concrete: str | None = None
     largest_stone: float | None = None
-    """[m]"""
+    """Diameter of the concrete's largest stone [m]."""
     source: str = ""
     recorded: float | None = None
-    """Pressure at the pump [Pa]."""
+    """Pressure recorded at the pump [Pa]."""
 
     @property
     def length(self) -> float:
-        """[m]"""
+        """Length of the line along its axis [m]."""
         return sum(part.length for part in self.parts)
 
     @property
     def rise(self) -> float:
-        """[m]"""
+        """Height of the line's end above its start [m]."""
         return sum(part.rise for part in self.parts)
 
     @property
     def bores(self) -> Bores:
-        """How wide it is along its axis, bores from meshes by their area."""
+        """Inner radii along the axis; a cross-section of a mesh has the radius of a circle of equal area."""
         return self._profile("radii")
 
     @property
     def clear(self) -> Bores:
-        """Of circles about its axis that are free."""
+        """Radii along the axis of the largest circles about the axis that are free of the wall."""
         return self._profile("least")
 
     def _profile(self, of: str) -> Bores:
@@ -150,7 +152,7 @@ class PipeLine:
         return Bores(tuple(places), tuple(radii))
 
     def remarks(self) -> list[str]:
-        """What a reader should know of it."""
+        """Return warnings about the line for its user, such as stones that may block a narrow part."""
         found = []
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING * self.largest_stone:
@@ -160,23 +162,24 @@ class PipeLine:
 
 
 def shipped_lines() -> tuple[str, ...]:
-    """Names of the lines that come with the package."""
+    """Return the names of the lines that are shipped with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 
 
 def read_line(name: Path | str) -> PipeLine:
-    """A line from a YAML file, or a shipped one by its name.
+    """Read a line from a YAML file, or a shipped line by its name.
 
-    Raises :class:`SceneError` for one that cannot be read, or whose parts do not fit.
+    Raises :class:`SceneError` if the file cannot be read, or if the parts do not fit together.
     """
     given, path = line_file(name)
     return line_of(given, name_of(path), path.parent)
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
-    """What such a file holds, and its path; a concrete's file is sought beside it.
+    """Read the entries of a line's file, and return them with the path of the file.
 
-    Raises :class:`SceneError` for what is no file, or none of such lines.
+    A relative path of a concrete's file is resolved from the folder of the line's file. Raises :class:`SceneError` if
+    the file does not exist or has another content.
     """
     if not isinstance(name, (str, Path)):
         refuse("line", name, "must be the name of a file", "write one: see --help")
@@ -192,9 +195,12 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 
 
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
-    """A line from the contents of such a file: `parts`, each a mapping of its kind to what it says of it, the
-    `diameter` that the first has, and which way it begins; and, where they are known, `flow`, `concrete`,
-    `largest_stone`, `source`, `recorded`. Mesh files are sought from `folder`.
+    """Build a line from the entries of its file.
+
+    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, that of the first part.
+    Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `source` and
+    `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or the parts do
+    not fit.
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must be 'key: value' lines, or a mapping of such")
@@ -238,7 +244,10 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
-    """The line of a concrete whose largest stone [m] is known. Raises :class:`SceneError` where it does not pass."""
+    """Return the line with the diameter of the largest stone of its concrete set to `stone` [m].
+
+    The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not pass through a part.
+    """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
             refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
@@ -247,7 +256,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
 
 
 def _text(given: Mapping[str, Any], field: str, default: str) -> str:
-    """Return a text without characters that a terminal would obey, or the default where there is none."""
+    """Return a text without control characters for terminals, or the default if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with within(given, field):
@@ -256,7 +265,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
 
 
 def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
-    """Return an entry above 0 in `unit`, or None where there is none."""
+    """Return a positive entry in `unit`, or None if the entry is missing."""
     if field not in given:
         return None
     with within(given, field):
@@ -267,18 +276,18 @@ def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
 
 
 class _Course:
-    """Where a line has come to, part by part."""
+    """Course of a line while it is built part by part: current direction, diameter and the parts so far."""
 
     def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
         self.begin: tuple[float, float, float] = tuple(tangent.tolist())
         self.tangent, self.diameter, self.folder = tangent, diameter, folder
         self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
-        """Level direction in which the line last went."""
+        """Last horizontal direction of the line, a unit vector of shape (3,)."""
         self.parts: list[Part] = []
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Go on by a part, as a file has it."""
+        """Append a part to the line, given as its entry in the file."""
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, and what it is",
                    "as '- straight: {length: 10 m}'")  # fmt: skip
@@ -344,7 +353,7 @@ class _Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Go on in another direction."""
+        """Change the direction in which the line continues."""
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
         level = self.tangent * [1, 1, 0]
@@ -352,7 +361,7 @@ class _Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """A curve through points, which are told from where the hose begins: ahead, to the left and up."""
+        """Return a hose as a curve through points, given relative to its start as ahead, left and up."""
         field = f"part {number}, hose"
         given = said.get("points")
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
@@ -422,12 +431,13 @@ class _Course:
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:
-    """Refuse a line that meets itself, or that comes nearer to itself than a `gap` [m]."""
+    """Refuse a line whose walls meet, or come closer to each other than `gap` [m]."""
     parts = line.parts
     spans = []
     for part in parts:
         wide = max(part.diameter, part.outlet)
-        # Legs that run beside each other behind a turn are near as a whole: only pieces of them tell.
+        # With a gap, divide long parts into short pieces. Along the axis, two parallel legs of a U-turn are so close to
+        # each other that, as whole pieces, they would be skipped as neighbours.
         spans.append((part.length, wide, PLACES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
     found = meeting(line.axis, spans, gap)
     if found is None:

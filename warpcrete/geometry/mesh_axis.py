@@ -1,4 +1,4 @@
-"""Axis of a pipe that is known as a mesh: the middles of its cross-sections, and a smooth curve through them."""
+"""Axis of a pipe that is given as a mesh: centres of its cross-sections, and a smooth curve through them."""
 
 from __future__ import annotations
 
@@ -13,51 +13,52 @@ from .curves import joining
 from .meshes import FARTHEST_WALL, SurfaceQueries, fan
 
 AROUND = 36
-"""Directions in which a section is measured."""
+"""Number of directions in which the wall's distance is measured at each cross-section."""
 ADVANCE = 0.25
-"""Distance between two sections over the radius."""
+"""Distance between neighbouring cross-sections, in radii of the bore."""
 FINEST = 1 / 256
-"""Least distance between two sections over the radius, with which the end is found."""
+"""Smallest step, in radii, of the search for the last cross-section before the end of a bore."""
 SHORTEST = ADVANCE / 16
-"""Least distance between two sections over the radius on the way."""
+"""Smallest distance between neighbouring cross-sections, in radii, while a bore is followed."""
 TURNS, TURN = 6, 0.4
-"""Number of times a new section is turned towards the direction of the bore there, and by which part of the way."""
+"""Number of times a new cross-section is turned towards the local direction of the bore, and the fraction of the
+remaining angle by which it is turned each time."""
 SHARPEST = 0.6
-"""Largest turn from one section to the next [rad]."""
+"""Largest angle between the directions of neighbouring cross-sections [rad]."""
 BEYOND = (0.1, 0.3)
-"""Distances over the radius behind an end at which nothing may surround the axis."""
+"""Distances behind an end of a bore, in radii, at which no wall may surround the axis."""
 MOST = 4000
-"""Largest number of sections."""
+"""Largest number of cross-sections of a bore."""
 ROUNDS = 3
-"""Rounds in which all sections are turned square to the curve through their middles."""
+"""Number of rounds in which all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
-"""Sections on either side whose middles give the direction in one."""
+"""Number of cross-sections on either side whose centres determine the local direction of the bore."""
 STRAYS = 0.004
-"""Distance over the radius by which the curve may pass the middles of sections."""
+"""Largest distance between the fitted axis and the centres of the cross-sections, in radii."""
 BENT = 0.004
-"""Angle by which a straight piece may differ from the directions in its sections [rad]."""
+"""Largest angle between a straight piece of the axis and the directions of its cross-sections [rad]."""
 LEAST_STRAIGHT = 4
-"""Least number of steps between sections that make a straight piece of their own."""
+"""Smallest number of intervals between cross-sections that form a straight piece of the axis."""
 NEAREST = 1e-3
-"""Distance of the first section from the start, over the size of the mesh."""
+"""Distance of the first cross-section from the start of the bore, relative to the size of the mesh."""
 ASIDE = 0.02
-"""Distance of the middle of the first section from the start over its radius, at most."""
+"""Largest distance, in radii, between the start of the bore and the centre of the first cross-section."""
 SAME = 0.02
-"""Part by which the radius of a section may change when it is moved a little."""
+"""Largest relative change of a cross-section's radius when the cross-section is shifted or turned a little."""
 WIDENS = 3.0
-"""Radius of a section over that of the section before it above which the wall is taken to have an opening."""
+"""Ratio of the radii of successive cross-sections above which the wall is taken to have an opening."""
 
 
 @dataclass(frozen=True)
 class Sections:
-    """Cross-sections of a bore in a row."""
+    """Cross-sections of a bore, in order from its start to its end."""
 
     ahead: np.ndarray
     """Unit direction of the bore at its start, shape (3,)."""
     points: np.ndarray
-    """Middles of their areas [m], shape (n, 3)."""
+    """Centres of the cross-sections [m], shape (n, 3)."""
     radii: np.ndarray
-    """Radii of circles of their areas [m], shape (n,)."""
+    """Radii of circles with the areas of the cross-sections [m], shape (n,)."""
 
 
 def follow(
@@ -65,25 +66,27 @@ def follow(
 ) -> Sections:
     """Follow a bore from a point on its axis to its end, section by section.
 
-    Each section lies square to the direction of the bore there and is measured by rays from its middle, so that outer
-    skins, rims and lids play no part. The bore ends where a section is open, which is behind a lid too.
+    Each cross-section is perpendicular to the local direction of the bore and is measured by rays from its centre, so
+    that outer skins, rims and lids have no influence. The bore ends where a cross-section is open; this is also the
+    case behind a lid.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
         faces: Corner numbers of each triangle, shape (f, 3).
         start: Point on the axis where the bore begins [m], shape (3,).
-        ways: Unit directions that the axis may have there, shape (3,) each; the first in which it goes on is taken.
-        field: Field that errors name.
-        name: Value of that field.
+        ways: Unit directions in which the axis may start, shape (3,) each; the first that leads into the bore is taken.
+        field: Name of the field that error messages show.
+        name: Value of that field in error messages.
 
     Raises:
-        SceneError: No section is closed where the bore begins, the bore opens to the side, or it has no end.
+        SceneError: No cross-section is closed at the start, the bore opens to the side, or the bore has no end.
     """
     queries = SurfaceQueries(vertices, faces)
     ahead, radius = _first_way(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
     points, radii = _march(queries, start, ahead, radius, field, name)
     _square(queries, points, radii, ahead)
-    # The last section was as far askew as the bore turns within a step: now it may lie nearer to the end.
+    # The last cross-section found while following the bore may be tilted by as much as the bore turns within one step.
+    # Now that its direction is corrected, a closed cross-section may be possible nearer to the end.
     points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
     last = directions(points, ahead)[-1]
@@ -94,7 +97,7 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn sections square to the curve through their middles, which are moved in place."""
+    """Turn cross-sections perpendicular to the curve through their centres; points and radii change in place."""
     for _ in range(ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
@@ -106,14 +109,14 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _to_the_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last section ahead, as far as it stays closed and of its size."""
+    """Advance the last cross-section towards the end, as long as it stays closed and keeps its size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > FINEST / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
-        # Beside a lid, rays of a section that is a little askew end on the lid.
+        # Near a lid, the rays of a slightly tilted cross-section end on the lid and change its size.
         if further is None or abs(further[1] / radii[-1] - 1) > SAME:
             step *= 0.5
         else:
@@ -127,10 +130,10 @@ def _to_the_end(
 
 
 def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tuple[Line | Arc, ...]:
-    """Return as few lines and arcs as pass points (n, 3) [m] within a small part of the `radius` [m].
+    """Return the fewest lines and arcs that pass points (n, 3) [m] within a small part of the `radius` [m].
 
-    The curve begins at the first point in the direction `ahead` and has no kinks: pairs of arcs join points that lie
-    as far apart as this allows.
+    The curve begins at the first point in the direction `ahead` and has no kinks. Each straight piece or pair of arcs
+    spans as many points as the tolerance allows.
     """
     tangents = directions(points, ahead)
     allowed = STRAYS * radius
@@ -150,7 +153,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tupl
 
 
 def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return unit tangents at points (n, 3) of a curve, by parabolas through their neighbours; the first is `ahead`."""
+    """Return unit tangents at points (n, 3) of a curve, from parabolas through neighbours; the first is `ahead`."""
     found = np.empty_like(points)
     count = len(points)
     for k in range(count):
@@ -167,7 +170,7 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 def _first_way(
     queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
 ) -> tuple[np.ndarray, float]:
-    """Return the first of some directions in which a bore goes on from `start`, and its radius there [m]."""
+    """Return the first of the directions `ways` in which a bore leads away from `start`, and its radius there [m]."""
     beside = None
     for way in ways:
         first = _section(queries, start + NEAREST * extent * way, way, extent)
@@ -190,7 +193,7 @@ def _first_way(
 def _march(
     queries: SurfaceQueries, start: np.ndarray, ahead: np.ndarray, radius: float, field: str, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and radii of sections from `start` [m] on, as far as they can be followed."""
+    """Return centres and radii [m] of cross-sections from `start` on, as far as the bore can be followed."""
     points, radii = [start], [radius]
     tangent, step = ahead, ADVANCE
     while len(points) <= MOST:
@@ -210,7 +213,8 @@ def _march(
     else:
         refuse(field, name, f"is longer than {MOST} sections at distances of a quarter of its radius",
                "cut it into several parts")  # fmt: skip
-    # Rays of the last section may end on a lid, and sections that lie close together have uncertain directions.
+    # Drop the last cross-section, whose rays may end on a lid, and cross-sections close together, because the direction
+    # between their centres is inaccurate.
     kept = [0]
     for k in range(1, len(points) - 1):
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
@@ -223,10 +227,11 @@ def _march(
 def _advanced(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """Return middle, radius and direction of the section a `step` [m] ahead, None if there is no closed one.
+    """Return centre, radius and direction of the section one `step` [m] ahead, or None if no closed one exists.
 
-    The section is turned square to the parabola through its middle and two before. In a cone, a section that leans has
-    its middle beside the axis, by up to the radius times the slope, so that only turning it part of the way converges.
+    The section is turned perpendicular to the parabola through its own centre and two earlier ones. In a cone, the
+    centre of a tilted section is displaced from the axis by up to the radius times the slope. The iteration therefore
+    converges only if the section is turned by a part of the remaining angle at a time.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
@@ -243,7 +248,7 @@ def _advanced(
 
 
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
-    """Return the unit direction at the `last` of some points, by the parabola through two others so far `apart` [m]."""
+    """Return the unit direction at point `last`, from a parabola through it and two points spaced by `apart` [m]."""
     chosen = [last]
     for point in reversed(points):
         if np.linalg.norm(point - chosen[-1]) >= apart:
@@ -258,7 +263,8 @@ def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np
     if len(chosen) == 3:
         before = chosen[1] - chosen[2]
         behind = float(np.linalg.norm(before))
-        # Slope of the parabola at its end: that of the chord, and as much more as it has turned.
+        # The slope of a parabola at its end is the slope of the last chord plus the change of slope from the previous
+        # chord, weighted with the length of the last chord over that of both.
         slope = slope + (slope - before / behind) * length / (length + behind)
     return slope / np.linalg.norm(slope)
 
@@ -270,7 +276,7 @@ def _length(points: list[np.ndarray]) -> float:
 def _check_open(
     queries: SurfaceQueries, end: np.ndarray, outward: np.ndarray, radius: float, field: str, name: str, *words: str
 ) -> None:
-    """Refuse a bore that goes on behind one of its ends, where most rays must miss everything."""
+    """Refuse a bore that continues behind one of its ends, where most rays must not meet any wall."""
     normal, side = _across(outward)
     places = end + radius * np.array(BEYOND)[:, None] * outward
     missed = queries.around(places, normal[[0, 0]], side[[0, 0]], AROUND, FARTHEST_WALL * radius) < 0
@@ -279,7 +285,7 @@ def _check_open(
 
 
 def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors square to `tangent` and to each other, shape (1, 3) each."""
+    """Return two unit vectors perpendicular to `tangent` and to each other, shape (1, 3) each."""
     normal = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
     normal = normal / np.linalg.norm(normal)
     return normal[None], np.cross(tangent, normal)[None]
@@ -288,7 +294,7 @@ def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _section(
     queries: SurfaceQueries, point: np.ndarray, tangent: np.ndarray, radius: float
 ) -> tuple[np.ndarray, float] | None:
-    """Return the middle of the section through a point square to `tangent` [m], and its radius [m]; None if open."""
+    """Return centre and radius [m] of the cross-section through a point perpendicular to `tangent`, None if open."""
     normal, side = _across(tangent)
     ways = fan(normal, side, AROUND)[0]
     area = np.zeros(AROUND)
@@ -296,12 +302,12 @@ def _section(
         reach = queries.around(point[None], normal, side, AROUND, FARTHEST_WALL * radius)[0]
         if np.any(reach < 0):
             return None
-        # Triangles between the point and two neighbours on the wall.
+        # Divide the cross-section into triangles between the point and two neighbouring places on the wall.
         corners = point + reach[:, None] * ways
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # all surfaces that the rays meet pass through the point itself
+            return None  # All surfaces that the rays meet pass through the point itself.
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle
@@ -317,14 +323,15 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Return the curve of one kind that reaches farthest from the point `here`, and the number of the point there."""
+    """Return the curve of one kind that spans the most points from point `here` on, and the last point's number."""
     best, reached = None, here
     step, last = 1, len(points) - 1
     while step > 0 and reached < last:
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # It reached less than twice as far: halve what it is to reach farther.
+            # The number of points to advance doubles after each success. After a failure it is halved, to find the
+            # limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step
@@ -336,12 +343,13 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return a line from a `position` along its `tangent` that passes some points closely, if it does."""
+    """Return the line from `position` along `tangent` if it passes the next points closely enough, else None."""
     offset = points[here + 1 : stop + 1] - position
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
     turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
-    # The direction in a point belongs to what follows as well, which may bend, unless it is the last of all.
+    # The tangent at the last point also depends on the next piece, which may bend. This tangent is therefore ignored,
+    # except at the end of the whole curve.
     inner = turned if stop == len(points) - 1 else turned[:-1]
     if np.all(beside <= 0.5 * allowed) and np.all(inner <= BENT):
         return [Line(float(along[-1]))]
@@ -352,7 +360,7 @@ def _biarc(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return two arcs from a `position` and `tangent` to a point and its direction, if they pass those between."""
+    """Return two arcs from `position` to the point `stop` if they pass all points between, else None."""
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None
     curve = joining(position, tangent, points[stop], tangents[stop])

@@ -1,4 +1,4 @@
-"""A part of a line whose bore is a mesh from a file: where it leads, whether it fits, and how narrow it is."""
+"""Pipeline parts whose bore is a mesh from a file: their axis, their fit to the line, and their smallest width."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from .mesh_axis import follow, pieces_through
 from .meshes import load
 
 FIT, ROUND = 0.02, 0.05
-"""Largest differences between a mesh and the line's pipe where it begins and ends: of the diameter of equal area, and
-of the radius in any direction."""
+"""Largest relative differences between a mesh and the line's pipe at its ends: first in the diameter of equal area,
+then in the radius in any direction."""
 PLACED = 0.002
-"""Distance over the diameter by which a straight mesh may end beside where it should."""
+"""Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01
-"""Part by which a given length may differ from that of a bent axis, which is found from the mesh."""
+"""Largest relative difference between the length stated for a bent part and the length measured in its mesh."""
 OVERLAP = 0.005
-"""Length over the diameter by which round pipe reaches into a mesh."""
+"""Length, in diameters, by which round pipe overlaps with the end of a mesh."""
 FINE = 0.005
-"""Distance between two places where a bore is measured, over the diameter."""
+"""Distance, in diameters, between the places where a bore is measured."""
 STEPS = 4000
 """Largest number of places where a bore is measured."""
 PROFILE = 0.05
-"""Distance over the diameter between two radii that a line knows."""
+"""Distance, in diameters, between the places for which a mesh bore stores a radius."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (
@@ -43,33 +43,33 @@ WAYS: tuple[Way, ...] = (
     (0.0, 0.0, -1.0),
     (0.0, -1.0, 0.0),
 )
-"""Directions in which a mesh may lead away from its origin."""
+"""Directions in which the bore of a mesh may lead away from its origin."""
 
 
 @dataclass(frozen=True)
 class MeshBore:
-    """Bore of a mesh that is one of a line's parts."""
+    """Bore of a mesh that is one part of a pipeline."""
 
     file: str
-    """Absolute path."""
+    """Absolute path of the mesh file."""
     scale: float
-    """Factor from the file's unit to metres: 0.001 for mm."""
+    """Factor from the file's length unit to metres: 0.001 for mm."""
     axis: Axis
-    """Centreline in the mesh's coordinates, from its origin."""
+    """Centreline of the bore in the mesh's coordinates, starting at the mesh's origin."""
     narrowest: float
-    """Least distance of two opposite places of the wall [m]."""
+    """Smallest distance between two opposite places of the bore's wall [m]."""
     digest: str
-    """Hash of the file and its scale."""
+    """Hash of the mesh file's content and of its scale."""
     places: tuple[float, ...]
-    """Arc lengths from the start, rising [m]."""
+    """Arc lengths of the stored cross-sections from the start of the bore, increasing [m]."""
     radii: tuple[float, ...]
-    """Radii there of circles of the section's area [m]."""
+    """Radii of circles with the areas of the stored cross-sections [m]."""
     least: tuple[float, ...]
-    """Radii there of free circles about the axis [m]."""
+    """Radii of the largest free circles about the axis in the stored cross-sections [m]."""
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Diameters at the start and at the end [m]."""
+        """Diameters of the bore at its start and at its end [m]."""
         return 2 * self.radii[0], 2 * self.radii[-1]
 
 
@@ -81,23 +81,23 @@ def bore_of(
     diameters: tuple[float, float] | None = None,
     ways: Sequence[Way] = WAYS[:1],
 ) -> MeshBore:
-    """Measure the bore in a mesh file, which begins at the mesh's origin and leads in one of some directions.
+    """Measure the bore of a mesh file, which begins at the mesh's origin.
 
     Args:
-        fields: Fields that errors name, for the file and for its scale.
+        fields: Names of the fields that error messages show, for the file and for its scale.
         file: Path of the mesh.
-        scale: Factor from the file's unit to metres.
-        length: What the length of the axis must be [m]; anything if None.
-        diameters: What the diameters at the start and the end must be [m]; anything if None.
-        ways: Unit directions in which the axis may begin; a line's mesh leads along its x.
+        scale: Factor from the file's length unit to metres.
+        length: Required length of the axis [m]; any length if None.
+        diameters: Required diameters at the start and at the end [m]; any diameters if None.
+        ways: Unit directions in which the axis may begin; the mesh of a pipeline part leads along its x.
 
     Raises:
         SceneError: The file cannot be read, or its mesh has gaps, does not begin at its origin, is blocked, opens to
-            the side, has another length, or ends that are not round and of these diameters.
+            the side, has another length, or has ends that are not round or have other diameters.
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # The unit is checked first: the bore of a mesh in another unit has no end within reach.
+    # Check the unit first: for a mesh in the wrong unit, the end of the bore is out of reach.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)
@@ -114,7 +114,7 @@ def bore_of(
 
 
 def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:
-    """Return a bore that has the `length` of a part [m], or refuse it if it is longer or shorter."""
+    """Return the bore with the stated `length` [m] of its part; refuse a bore of a different length."""
     if length is None:
         return bore
     found, straight = bore.axis.length, _is_straight(bore.axis)
@@ -138,7 +138,10 @@ def _measured(
     length: float | None,
     ways: tuple[Way, ...],
 ) -> MeshBore:
-    """Find the axis of a mesh file, and measure its bore; `digest` tells files apart that have one name."""
+    """Find the axis of a mesh file and measure its bore.
+
+    The `digest` of the file's content is part of the cache key, so that a changed file of the same name is read again.
+    """
     mesh, name = load(file, fields[0], scale), str(file)
     extent = float(mesh.extents.max())
     if length is not None and not 0.01 * length <= extent <= 100 * length:
@@ -167,22 +170,24 @@ def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field:
     pieces = pieces_through(sections.points, way, float(sections.radii[0]))
     axis = Axis((0.0, 0.0, 0.0), tuple(way.tolist()), pieces)
     if _is_straight(axis):
-        # The end of a straight bore is known better than the last section: it lies where the mesh ends.
+        # A straight bore ends where the mesh ends; this place is more accurate than the last measured cross-section.
         axis = Axis(axis.start, axis.tangent, (Line(float((vertices @ way).max())),))
     return axis, float(sections.radii[0])
 
 
 @functools.lru_cache(maxsize=8)
 def _surface(bore: MeshBore, field: str) -> InnerSurface:
-    """Return the inner surface of a mesh bore, in the mesh's coordinates; its digest tells files of one name apart."""
+    """Return the inner surface of a mesh bore in the mesh's coordinates; results are cached per file content."""
     mesh = load(bore.file, field, bore.scale)
     return InnerSurface(mesh.vertices, mesh.faces, bore.axis, bore.radii[0], field, bore.file)
 
 
 def directions_at(axis: Axis, s: float) -> np.ndarray:
-    """Return the directions of a mesh's x, y and z where it is put on an axis at the arc length `s` [m], shape (3, 3).
+    """Return the unit vectors of a mesh's x, y and z where the mesh lies on an axis, shape (3, 3).
 
-    Its z is up where the line begins level, and against the way it bends up by; it is carried along without twist.
+    The mesh is placed at the arc length `s` [m], with x along the axis. If the axis begins level, z points up at its
+    start. If the axis begins vertically, z is what a bend from level into the vertical would have turned "up" into.
+    From the start on, z is transported along the axis without twist.
     """
     tangent, level = np.array(axis.tangent), np.array([0.0, 0.0, 1.0])
     if abs(tangent @ level) > 0.5:
@@ -192,7 +197,7 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
 
 
 def turned(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
-    """Return pieces of an axis that is turned by the rows of `directions`, shape (3, 3)."""
+    """Return the pieces of an axis rotated by the rows of `directions`, shape (3, 3)."""
     return tuple(
         replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))
         if isinstance(piece, Arc)
@@ -203,23 +208,23 @@ def turned(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line |
 
 @dataclass(frozen=True)
 class Insert:
-    """Where a bore from a mesh lies along an axis."""
+    """Position of a mesh bore along an axis."""
 
     mesh: MeshBore
     begin: float
-    """Arc length [m]."""
+    """Arc length at which the mesh bore begins [m]."""
     end: float
-    """[m]"""
+    """Arc length at which the mesh bore ends [m]."""
 
 
 def wall_of(
     axis: Axis, bores: Bores, inserts: Sequence[Insert], facets: int, before: float, after: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and faces (f, 3) of the wall of a pipe that meshes are pieces of.
+    """Return vertices [m] (v, 3) and faces (f, 3) of the wall of a pipe that contains mesh bores.
 
-    Round pipe, of `facets` and its own volume, reaches a little into them, so that nothing finds a gap; it starts
-    `before` [m] ahead of the axis and ends `after` [m] behind it. A mesh's z is up where the line begins level, and
-    against the way it bends up by; it is carried along without twist.
+    Between the meshes lies round pipe with `facets` facets and the volume of the exact pipe. Its ends overlap slightly
+    with the meshes, so that the wall has no gap. The wall starts `before` [m] ahead of the axis and ends `after` [m]
+    behind it. :func:`directions_at` defines how the meshes are oriented.
     """
     parts, begin = [], -before
     for insert in inserts:
@@ -234,7 +239,7 @@ def wall_of(
 
 
 def together(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (v, 3) and faces (f, 3) of one mesh that holds several."""
+    """Return vertices [m] (v, 3) and faces (f, 3) of one mesh that contains several meshes."""
     firsts = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     faces = np.concatenate([faces + first for (_, faces), first in zip(parts, firsts, strict=True)])
     return np.concatenate([points for points, _ in parts]), faces

@@ -1,4 +1,4 @@
-"""Triangle meshes from files: reading, closedness, distances, and the fit of a pipe to its axis."""
+"""Triangle meshes from files: reading and checks, distances and rays, and the fit between a mesh and a pipe's axis."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from .axis import Axis
 from .cleaning import clean
 from .walls import MeshWall, PipeWall
 
-if TYPE_CHECKING:  # half a second to import, and most scenes have no mesh
+if TYPE_CHECKING:  # Importing trimesh takes half a second, and most scenes have no mesh.
     import trimesh
 
 FARTHEST_WALL = 10.0
-"""Length of the rays that look for a wall, over the radius."""
+"""Length of the rays that search for a wall, in pipe radii."""
 TURNED, ASIDE = 0.382, 0.1
-"""Parts of the angle between two rays by which all are turned, so that they miss the edges of regular tubes, and by
-which those that slip through are turned once more."""
+"""Rotations of a fan of rays, as fractions of the angle between two rays. The first rotation keeps the rays away from
+the edges of regular tubes. Rays that still meet no wall are repeated with the second rotation added."""
 ROUND = 0.01
-"""Part of a pipe's radius by which its wall may differ from the cylinder and still count as one."""
+"""Largest difference, in radii, between a pipe's wall and a cylinder for the wall to count as cylindrical."""
 MOST_FACES = 500_000
-"""Triangles of a mesh; reading so many takes ten seconds."""
+"""Largest number of triangles of a mesh; reading such a mesh takes ten seconds."""
 FARTHEST = 1e4
-"""Distance of a corner from the origin [m]."""
+"""Largest distance of a mesh's corner from the origin [m]."""
 
 
 def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
-    """Mesh from a ``trimesh.Trimesh`` or any file that trimesh reads, cleaned (:func:`clean`).
+    """Read a mesh from a ``trimesh.Trimesh`` or any file that trimesh reads, and clean it with :func:`clean`.
 
-    Raises :class:`SceneError` naming `field` if it cannot be read or holds no usable triangles.
+    `scale` is the factor from the mesh's length unit to metres. Raises :class:`SceneError` naming `field` if the mesh
+    cannot be read or holds no usable triangles.
     """
     import trimesh
 
@@ -48,12 +49,13 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     else:
         path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
         try:
-            with np.errstate(all="ignore"):  # what is wrong with its numbers is told below
+            with np.errstate(all="ignore"):  # Invalid numbers are reported below.
                 mesh = trimesh.load_mesh(path)
                 if isinstance(mesh, trimesh.Scene):
                     mesh = mesh.to_mesh()
-        except Exception as error:  # trimesh raises whatever its readers raise
-            # A file of noise ends in whatever reader is tried last, or in one that is not installed.
+        except Exception as error:  # Trimesh passes on any error of its readers.
+            # A file in an unknown format fails in the last reader that trimesh tries, perhaps with an ImportError
+            # because that reader is not installed.
             why = "it is damaged or of another kind" if isinstance(error, ImportError) else " ".join(str(error).split())
             refuse(field, str(source), f"cannot be read as a triangle mesh ({why or type(error).__name__})",
                    "give an STL, OBJ, PLY ... file whose ending says what it is")  # fmt: skip
@@ -69,7 +71,7 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 
 
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
-    """Refuse a mesh of more triangles, or with corners farther away, than can be computed with."""
+    """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
     if len(mesh.faces) > MOST_FACES:
         refuse(field, name, f"has {len(mesh.faces)} triangles; at most {MOST_FACES} are read",
                "simplify it (trimesh's simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
@@ -80,14 +82,14 @@ def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> N
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Edges that belong to one triangle only, shape (n, 2)."""
+    """Return the edges that belong to exactly one triangle, as pairs of corner numbers, shape (n, 2)."""
     edges = mesh.edges_sorted
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
 
 
 def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
-    """As :func:`load`, but the mesh must be watertight; normals are turned outward."""
+    """Read a mesh like :func:`load`, refuse it if it is not watertight, and turn its normals outward."""
     mesh = load(source, field, scale)
     name = source if isinstance(source, str | Path) else "mesh"
     if not mesh.is_watertight:
@@ -107,7 +109,7 @@ def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 
 
 def signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Distance of points (n, 3) to a closed mesh [m], negative inside; single precision."""
+    """Return the distance of points (n, 3) from a closed mesh [m], negative inside, in single precision."""
     device = "cpu"
     surface = _warp_mesh(mesh, device, winding=True)
     reach = float(np.linalg.norm(mesh.extents)) * 4 + float(np.abs(points).max(initial=0.0)) * 2
@@ -120,43 +122,43 @@ def signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bore:
-    """What the inside of a pipe came to, measured from its axis."""
+    """Size of a pipe's bore, from distances between its axis and the wall."""
 
     smallest: float
-    """Smallest distance of the wall [m]."""
+    """Smallest distance between the axis and the wall [m]."""
     largest: float
-    """Largest [m]."""
+    """Largest distance between the axis and the wall [m]."""
     area: float
-    """Mean cross-section [m2]."""
+    """Mean cross-sectional area [m2]."""
 
     @classmethod
     def of(cls, reach: np.ndarray) -> Bore:
-        """From distances of the wall, which all found it."""
+        """Return the size of a bore from distances of the wall [m]; every ray must have met the wall."""
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
     def is_round(self, radius: float) -> bool:
-        """Whether a cylinder of `radius` [m] stands for it."""
+        """Return whether a cylinder of `radius` [m] describes the bore accurately enough."""
         return self.smallest >= (1 - ROUND) * radius and self.largest <= (1 + ROUND) * radius
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
-    """Arc lengths at which a pipe is measured; its ends may be capped, so they lie inside them."""
+    """Return the arc lengths at which a pipe is measured [m]; they lie inside its ends, which may be capped."""
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))
 
 
 def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 12, begin: float = 0.0) -> np.ndarray:
-    """Distances [m] from an axis between two arc lengths to the mesh, -1 where there is none.
+    """Return distances [m] from an axis to a mesh at places between two arc lengths, -1 where a ray meets nothing.
 
-    `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3), `radius` what is expected. The result has a row for
-    each place along the axis and a column for each of so many directions `around` it.
+    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3), and `radius` is the expected radius [m]. The result
+    has one row for each place along the axis and one column for each of the `around` directions.
     """
     points, _, normal, side = axis.frame(_stations(radius, end, begin))
     return SurfaceQueries(mesh.vertices, mesh.faces).around(points, normal, side, around, FARTHEST_WALL * radius)
 
 
 def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.ndarray:
-    """Which of `points` (n, 3) [m] lie inside a pipe's wall, seen from its axis."""
+    """Return which of `points` (n, 3) [m] lie inside a pipe's wall, as seen from the pipe's axis, shape (n,)."""
     nearest = axis.nearest(points)
     apart = np.linalg.norm(points - nearest, axis=1)
     if isinstance(wall, PipeWall):
@@ -167,9 +169,10 @@ def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.nd
 
 
 def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
-    """Triangle of the mesh that is nearest to each of `points` (n, 3) [m], -1 where none is within `reach` [m].
+    """Return the number of the mesh's triangle nearest to each of `points` (n, 3) [m], in single precision.
 
-    `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3); single precision.
+    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3). The number is -1 where no triangle lies within
+    `reach` [m].
     """
     surface = _warp_mesh(mesh, "cpu")
     face = wp.zeros(len(points), dtype=wp.int32, device="cpu")
@@ -181,19 +184,23 @@ def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
 def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
     """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss.
 
-    `mesh` is anything with `vertices` (v, 3) and `faces` (f, 3).
+    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3).
     """
     return SurfaceQueries(mesh.vertices, mesh.faces).rays(origins, directions, reach)
 
 
 def fan(normal: np.ndarray, side: np.ndarray, count: int, turned: float = TURNED) -> np.ndarray:
-    """Return unit vectors at `count` even angles in planes of two unit vectors (n, 3), shape (n, count, 3)."""
+    """Return `count` unit vectors at equal angles in planes, shape (n, count, 3).
+
+    The unit vectors `normal` and `side`, shape (n, 3) each, span the planes. `turned` rotates all vectors, as a
+    fraction of the angle between two of them.
+    """
     angle = 2 * np.pi * (np.arange(count) + turned) / count
     return np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
 
 
 class SurfaceQueries:
-    """Rays to a triangle mesh and distances from it, in single precision on the CPU."""
+    """Ray and distance queries to a triangle mesh, in single precision on the CPU."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         quiet_init()
@@ -203,18 +210,19 @@ class SurfaceQueries:
         self._extent = float(np.abs(vertices).max(initial=0.0))
 
     def rays(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3), -1 for a miss."""
+        """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss."""
         along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
         return self._launched(ray_distances, origins=_points(origins), directions=along, reach=reach)
 
     def around(self, points: np.ndarray, normal: np.ndarray, side: np.ndarray, count: int, reach: float) -> np.ndarray:
-        """Return distances [m] of the wall around points in planes of two unit vectors, each shape (n, 3).
+        """Return distances [m] from `points` to the wall in `count` directions at equal angles, shape (n, count).
 
-        There are `count` directions in even angles; -1 stands for no wall within `reach` [m]. Shape (n, count).
+        The directions lie in planes spanned by the unit vectors `normal` and `side`, shape (n, 3) each. The distance is
+        -1 where there is no wall within `reach` [m].
         """
         found = self._fan(points, normal, side, count, reach, TURNED)
         if np.any(found < 0):
-            # A ray along an edge between two facets may miss both: look again a little beside.
+            # A ray along the edge between two facets may miss both, so repeat the search with slightly rotated rays.
             found = np.where(found < 0, self._fan(points, normal, side, count, reach, TURNED + ASIDE), found)
         return found
 
@@ -226,7 +234,7 @@ class SurfaceQueries:
         return self.rays(starts.reshape(-1, 3), ways.reshape(-1, 3), reach).reshape(len(points), count)
 
     def distances(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance [m] of each of `points` (n, 3) from the surface."""
+        """Return the distance [m] of each of `points` (n, 3) from the surface, shape (n,)."""
         reach = 4 * (self._extent + float(np.abs(points).max(initial=0.0)))
         return self._launched(distances, points=_points(points), reach=reach)
 

@@ -1,4 +1,4 @@
-"""A line as one pipe: what its file says of a run, where it is no straight pipe, and where it may not lead."""
+"""Pipelines simulated as one pipe: run parameters taken from its file or mesh, and limits of its course."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from .lines import PipeLine, line_file
 from .mesh_parts import WAYS, Way, bore_of
 
 LONGEST = 10_000
-"""Diameters, of a pipe that is run."""
+"""Largest length of a pipe that can be simulated, in diameters."""
 
 
 def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Flow [m3/s] and concrete that the file of the `line` among a scene's parameters has; nothing without one, or
-    where both are given, as in a run's record.
+    """Return the flow [m3/s] and the concrete that the file of the scene's `line` states.
+
+    The result is empty if `values`, the parameters of the scene, name no line, or if they state both flow and concrete
+    already, as the parameters of a recorded run do.
     """
     if values.get("line") is None or ("flow" in values and "concrete" in values):
         return {}
@@ -35,9 +37,10 @@ def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
-    """Return unit and inlet diameter [m] for the mesh `wall` among a scene's parameters, if they name no other unit.
+    """Return the parameters that the mesh `wall` of a scene implies: `unit`, and the inlet's `diameter` [m].
 
-    The mesh may lead in one of the directions `ways` at its origin.
+    The result is empty without a mesh, or if the parameters name a unit other than `mesh`. At its origin the mesh may
+    lead in one of the directions `ways`.
     """
     wall, unit = values.get("wall"), values.get("unit", "mesh")
     if wall is None or unit != "mesh" or values.get("line") is not None:
@@ -46,7 +49,7 @@ def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[
         return {"unit": unit}
     scale = values.get("wall_scale", 1.0)
     if not isinstance(wall, (str, Path)) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
-        return {"unit": unit}  # the rules of these parameters say what is wrong
+        return {"unit": unit}  # The checks of the scene's parameters report what is wrong.
     return {
         "unit": unit,
         "diameter": float(f"{bore_of(('wall', 'wall_scale'), Path(wall), scale, ways=ways).ends[0]:.6g}"),
@@ -54,12 +57,12 @@ def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Arc lengths at which its parts begin, and at which it ends, shape (parts + 1,) [m]."""
+    """Return the arc lengths at which the parts of a line begin, and that of its end [m], shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 
 def check_straight_ends(line: PipeLine, name: Any) -> None:
-    """Refuse a line, given by this `name`, that does not begin and end with a straight part."""
+    """Refuse a line, called `name` in the message, that does not begin and end with a straight part."""
     for place in (0, -1):
         if line.parts[place].kind != "straight":
             refuse("line", name, f"must begin and end straight: part {line.parts[place].number} is a "
@@ -67,7 +70,7 @@ def check_straight_ends(line: PipeLine, name: Any) -> None:
 
 
 def joined(axis: Axis) -> Axis:
-    """The same axis with its straight pieces in a row as one."""
+    """Return the same axis with each row of successive straight pieces joined into one."""
     pieces = list(axis.pieces[:1])
     for piece in axis.pieces[1:]:
         if isinstance(piece, Line) and isinstance(pieces[-1], Line):
@@ -78,8 +81,10 @@ def joined(axis: Axis) -> Axis:
 
 
 def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = math.inf) -> None:
-    """Refuse a pipe that comes back past the plane across it at the arc length `begin` [m], as far as it is less than
-    `aside` [m] beside the axis there, or past the endless plane across its end; or one too long to run at all.
+    """Refuse a pipe that returns past the planes at its ends, or that is too long to be simulated.
+
+    The first plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
+    axis. The second plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > LONGEST * 2 * bores.largest:
         refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "cut it: the command line adds "

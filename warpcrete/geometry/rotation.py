@@ -1,4 +1,4 @@
-"""Turning vectors on the host."""
+"""Rotation of vectors by quaternions on the host."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rotate(quaternions: np.ndarray, vectors: np.ndarray, inverse: bool = False) -> np.ndarray:
-    """Rotate `vectors` (n, 3) by unit quaternions x, y, z, w (n, 4)."""
+    """Rotate `vectors` (n, 3) by unit quaternions x, y, z, w of shape (n, 4), or by their inverses."""
     axis, w = quaternions[:, :3], quaternions[:, 3:]
     if inverse:
         axis = -axis

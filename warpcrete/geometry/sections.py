@@ -1,4 +1,4 @@
-"""Areas of plane sections: what polygons, less other polygons, hold."""
+"""Areas of plane sections bounded by polygons, less the areas of other polygons."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from itertools import combinations, pairwise
 import numpy as np
 
 GAUSS = np.polynomial.legendre.leggauss(2)
-"""Places and weights in -1..1, exact for the cubes of widths that a band of a section has."""
+"""Nodes and weights of the two-point Gauss rule on [-1, 1]. The rule is exact for cubic polynomials, and the integrand
+over a band of a section is at most quadratic."""
 
 
 def section_area(
@@ -19,13 +20,13 @@ def section_area(
     height: float = np.inf,
     axial: bool = False,
 ) -> float:
-    """Return the area inside an outline, outside all holes, and in a room from 0 to `width` and `height` [m2].
+    """Return the area inside an outline, outside all holes and within 0 <= x <= `width`, 0 <= y <= `height` [m2].
 
-    Polygons are given by their corners (x, y) [m] in turn; they may overlap one another and be concave. With `axial`
-    the area is weighted by x, which gives the volume of a radian about the axis x = 0 [m3].
+    Each polygon is a sequence of its corners (x, y) [m]; polygons may be concave and may overlap. If `axial` is true,
+    the area is weighted with x, which gives the volume [m3] per radian of the solid of revolution about x = 0.
 
-    Between two neighbouring levels of a corner or a crossing all edges run straight and in one order, so the integral
-    over each such band is exact.
+    The corners and the crossings of edges divide the section into horizontal bands. Inside a band all edges are
+    straight and keep their order, so that the integral over each band is exact.
     """
     edges = [_edges(polygon) for polygon in (outline, *holes)]
     levels = np.unique(np.clip(_levels(np.concatenate(edges)), 0.0, height))
@@ -45,13 +46,13 @@ def section_area(
 
 
 def _edges(polygon: Sequence[Sequence[float]]) -> np.ndarray:
-    """Return both ends of each edge, shape (n, 2, 2)."""
+    """Return both ends of each edge of a polygon [m], shape (n, 2, 2)."""
     corners = np.array(polygon, dtype=float)
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 def _levels(edges: np.ndarray) -> np.ndarray:
-    """Return the heights of all corners and of all crossings of two edges."""
+    """Return the heights y of all corners of some edges and of all crossings between them [m]."""
     found = list(edges[..., 1].ravel())
     for (a, b), (c, d) in combinations(edges, 2):
         one, two = b - a, d - c
@@ -65,7 +66,7 @@ def _levels(edges: np.ndarray) -> np.ndarray:
 
 
 def _crossings(edges: np.ndarray, y: float) -> np.ndarray:
-    """Return where edges cross the level `y`, increasing."""
+    """Return the x coordinates at which edges cross the height `y` [m], increasing."""
     (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
     met = (y0 <= y) != (y1 <= y)
     part = (y - y0[met]) / (y1[met] - y0[met])

@@ -1,4 +1,4 @@
-"""Bodies that closed meshes stand for: what lies inside their outermost skins."""
+"""Solid bodies described by closed meshes: removal of internal cavities."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from .meshes import signed_distance
 
-if TYPE_CHECKING:  # half a second to import
+if TYPE_CHECKING:  # Importing trimesh takes half a second.
     import trimesh
 
 
 def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a closed mesh without the skins that lie inside others, each remaining one with its normals outward.
+    """Return a closed mesh without the surfaces that lie inside others, and with all normals outward.
 
-    A body of spheres meets others with its outside alone, so that a hollow stone stands for a whole one.
+    A clump of spheres touches other bodies only with its outer surface, so that a hollow stone is treated as solid.
     """
     import trimesh
 
@@ -39,7 +39,7 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
-    """Return the numbers of the faces of each set that corners in common hold together."""
+    """Return the connected components of a mesh, each as the numbers of the faces linked by common corners."""
     label = np.arange(corners)
     while True:
         lowest = label[faces].min(axis=1)

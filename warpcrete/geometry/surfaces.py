@@ -1,4 +1,4 @@
-"""Triangle meshes of all walls of a batch, as flat corner, face and adjacency arrays."""
+"""Triangle meshes of all walls of a batch, as flat arrays of corners, faces and adjacency."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..kernels.common.walls import BORDER, SHARED
 
 
 class Surfaces:
-    """Flat corner, face and adjacency arrays over all mesh walls."""
+    """Flat arrays of the corners, faces and adjacency of all mesh walls."""
 
     def __init__(self) -> None:
         self._corners: list[np.ndarray] = []
@@ -23,7 +23,7 @@ class Surfaces:
 
     @property
     def face_count(self) -> int:
-        """Faces of the meshes so far."""
+        """Number of faces of all meshes added so far."""
         return self._face_count
 
     def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
@@ -32,7 +32,7 @@ class Surfaces:
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
         edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
-        order = np.argsort(edge, kind="stable")  # sides of faces, 3 f + e, edge by edge
+        order = np.argsort(edge, kind="stable")  # Half-edges, numbered 3 face + side, sorted by edge.
         begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
         across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)
         one, two = order[begin[uses == 2]], order[begin[uses == 2] + 1]
@@ -56,36 +56,37 @@ class Surfaces:
         return first_face
 
     def corners(self) -> np.ndarray:
-        """Corners of all meshes [m], shape (corners, 3)."""
+        """Return the corners of all meshes [m], shape (corners, 3)."""
         return np.concatenate([np.empty((0, 3)), *self._corners])
 
     def faces(self) -> np.ndarray:
-        """Corners of each face, shape (faces, 3)."""
+        """Return the corner numbers of each face, shape (faces, 3)."""
         return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
 
     def across(self) -> np.ndarray:
-        """Far corner beyond each edge of a face, then the face there, shape (faces, 6).
+        """Return the neighbours across the three edges of each face, shape (faces, 6).
 
-        The corner is `BORDER` at an edge of this face alone, and ``SHARED - row`` at an edge of three or more, which
-        has a row of its own in `ring`.
+        The first three entries are the corners opposite to the edges in the neighbouring faces; the last three are the
+        numbers of these faces. At an edge without a neighbour the corner is `BORDER`. At an edge shared by three or
+        more faces, the corner is ``SHARED - row``, where `row` is the edge's row in `ring`.
         """
         across = np.concatenate([np.empty((0, 6), np.int64), *self._across])
         return np.where(across <= int(SHARED), across - self._corner_count, across).astype(np.int32)
 
     def owner(self) -> np.ndarray:
-        """Wall of each face, shape (faces,)."""
+        """Return the number of the wall to which each face belongs, shape (faces,)."""
         return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
 
     def ring(self) -> np.ndarray:
-        """Rows of all corners, then of the edges that three or more faces share, end to end.
+        """Return adjacency rows of all corners, then of all edges shared by three or more faces, concatenated.
 
-        A row begins with the lowest face there, counted within its mesh. The corners follow to which an edge leads from
-        this corner, or the far corners of the faces at this edge.
+        A row begins with the lowest number of its adjacent faces, counted within their mesh. In the row of a corner,
+        the other ends of its edges follow; in the row of an edge, the opposite corners of its faces follow.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
     def ring_start(self) -> np.ndarray:
-        """First entry of each row of `ring`, and the end, shape (rows + 1,)."""
+        """Return the index of the first entry of each row of `ring`, and the total length, shape (rows + 1,)."""
         return np.concatenate([[0], np.cumsum([len(row) for row in self._rows()])]).astype(np.int32)
 
     def _rows(self) -> list[np.ndarray]:
@@ -93,7 +94,7 @@ class Surfaces:
 
 
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
-    """Return the row of `ring` of each of `count` corners."""
+    """Return the adjacency row of each of `count` corners: its lowest face, then the other ends of its edges."""
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
     here = np.concatenate([np.arange(count), edges.ravel()])

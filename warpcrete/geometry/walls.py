@@ -1,4 +1,4 @@
-"""Walls, and how they move: frozen, validated dataclasses in SI units, for every method."""
+"""Walls and their motions as frozen, validated dataclasses in SI units, for both methods."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from .axis import Axis
 from .cleaning import clean
 
 SIDES = 48
-"""Of round walls as they are drawn."""
+"""Number of sides with which recorders draw round walls."""
 MOST_STOPS = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stops:
-    """Strokes from rest to rest, each with a pause behind it, before a prescribed motion holds its speed for good."""
+    """Repeated strokes of a prescribed motion, each from rest to rest and followed by a pause.
+
+    After these strokes the motion continues at constant speed.
+    """
 
     count: int
-    """Of strokes that end in a pause."""
+    """Number of strokes that end in a pause."""
     stroke_time: float
-    """Of each, the ramps at both of its ends included [s]"""
+    """Duration of one stroke, including the ramps at both of its ends [s]."""
     pause: float
-    """[s]"""
+    """Duration of the pause after each stroke [s]."""
 
     def __post_init__(self) -> None:
         if isinstance(self.count, bool) or not isinstance(self.count, int) or not 1 <= self.count <= MOST_STOPS:
@@ -38,26 +41,27 @@ class Stops:
 
     @property
     def period(self) -> float:
-        """From the start of a stroke to that of the next [s]."""
+        """Time from the start of one stroke to the start of the next [s]."""
         return self.stroke_time + self.pause
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prescribed:
-    """Motion that nothing can change: speed ramps linearly from rest over `ramp_time`, then holds.
+    """Motion of a wall with a prescribed speed, which no force changes.
 
-    With `stops` it first falls as it rose, rests and rises again, so often; then it holds.
+    The speed rises linearly from rest over `ramp_time` and is constant afterwards. With `stops`, the speed first falls
+    and rises again for the given number of strokes, with pauses at rest; then it stays constant.
     """
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Final velocity [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Final angular velocity about `pivot` [rad/s]; with a velocity the pivot travels along."""
+    """Final angular velocity about `pivot` [rad/s]; if the wall also has a velocity, the pivot moves with it."""
     pivot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ramp_time: float = 0.0
-    """[s]"""
+    """Duration of the linear rise of the speed [s]."""
     start_time: float = 0.0
-    """[s]"""
+    """Time at which the motion starts [s]."""
     stops: Stops | None = None
 
     def __post_init__(self) -> None:
@@ -70,7 +74,7 @@ class Prescribed:
                    "shorten the ramp")  # fmt: skip
 
     def fill(self, row: Any) -> None:
-        """Enter the motion in a wall's row of a device table."""
+        """Write the motion into a wall's row of a device table."""
         row.motion = int(PRESCRIBED)
         if self.stops is not None:
             row.stops, row.stroke_time, row.pause = self.stops.count, self.stops.stroke_time, self.stops.pause
@@ -80,17 +84,17 @@ class Prescribed:
 
 @dataclass(frozen=True, kw_only=True)
 class Driven:
-    """Motion along one direction by a force against the wall's inertia (a loaded plate, a servo)."""
+    """Motion along one direction under a force, against the wall's inertia and damping (a loaded plate, a servo)."""
 
     direction: tuple[float, float, float]
     force: float
-    """Along `direction` [N]."""
+    """Force along `direction` [N]."""
     mass: float
-    """[kg]"""
+    """Mass of the wall [kg]."""
     damping: float = 0.0
-    """[N s/m]"""
+    """Coefficient of viscous damping [N s/m]."""
     start_time: float = 0.0
-    """[s]"""
+    """Time at which the motion starts [s]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction", vector("direction", self.direction))
@@ -102,7 +106,7 @@ class Driven:
         between("start_time", self.start_time, 0, np.inf, "s")
 
     def fill(self, row: Any) -> None:
-        """Enter the motion in a wall's row of a device table."""
+        """Write the motion into a wall's row of a device table."""
         row.motion = int(DRIVEN)
         row.velocity = self.direction
         row.mass, row.drive_force, row.drive_damping = self.mass, self.force, self.damping
@@ -112,27 +116,27 @@ class Driven:
 Motion = Prescribed | Driven
 
 AddAxis = Callable[[Axis], tuple[int, int]]
-"""Adds a pipe's axis to the segments of a device; returns the range of its own."""
+"""Function that adds a pipe's axis to the device's table of segments and returns its range there."""
 
 
 class _Wall:
-    """What walls of every shape share."""
+    """Common part of walls of all shapes."""
 
     name: str
     motion: Motion | None
 
     @property
     def origin(self) -> np.ndarray:
-        """Of the wall's frame, at the start, shape (3,) [m]."""
+        """Origin of the wall's frame at the start [m], shape (3,)."""
         return np.zeros(3)
 
     @property
     def reference_points(self) -> np.ndarray:
-        """Points whose speed is the wall's, shape (n, 3) [m]."""
+        """Points whose speed determines the wall's speed [m], shape (n, 3)."""
         return self.origin[None]
 
     def top_speed(self) -> float:
-        """Largest speed of a prescribed motion at the reference points [m/s]; 0 without one."""
+        """Return the largest speed of a prescribed motion at the reference points [m/s]; 0 without such a motion."""
         motion = self.motion
         if not isinstance(motion, Prescribed):
             return 0.0
@@ -140,7 +144,7 @@ class _Wall:
         return float(np.linalg.norm(motion.velocity)) + lever * float(np.linalg.norm(motion.spin))
 
     def fill(self, row: Any, add_axis: AddAxis) -> None:
-        """Enter shape and motion in a row of a device table."""
+        """Write shape and motion into the wall's row of a device table."""
         row.motion = int(FIXED)
         if self.motion is not None:
             self.motion.fill(row)
@@ -148,7 +152,7 @@ class _Wall:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneWall(_Wall):
-    """Infinite plane; material lies on the side its normal points to."""
+    """Infinite plane wall; material lies on the side to which its normal points."""
 
     name: str
     point: tuple[float, float, float]
@@ -156,7 +160,7 @@ class PlaneWall(_Wall):
     material: str = "wall"
     motion: Motion | None = None
     drawn_radius: float = 0.0
-    """Radius of the disc that recorders draw [m]; 0 draws none."""
+    """Radius of the disc that recorders draw for the plane [m]; 0 draws none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", vector(f"{self.name}.point", self.point))
@@ -176,7 +180,10 @@ class PlaneWall(_Wall):
         row.normal = self.normal
 
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Vertices (v, 3) and faces (f, 3) of a thin cap in the wall's frame, or None for an endless plane."""
+        """Return vertices [m] (v, 3) and faces (f, 3) of a thin disc that shows the plane, or None.
+
+        The disc is given in the wall's frame. An infinite plane, with `drawn_radius` 0, is not drawn.
+        """
         if self.drawn_radius <= 0:
             return None
         normal = np.array(self.normal)
@@ -185,7 +192,8 @@ class PlaneWall(_Wall):
         angle = np.linspace(0, 2 * np.pi, SIDES + 1)[:-1]
         up = np.cross(normal, side)
         ring = self.drawn_radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up)
-        # Its face lies in the wall's plane: a piston has a front and a back.
+        # The front of the disc lies in the wall's plane, and its back behind the plane, because pistons are drawn with
+        # two sides.
         back = ring - 0.25 * self.drawn_radius * normal
         vertices = np.concatenate([np.zeros((1, 3)), ring, back, back.mean(0, keepdims=True)])
         n = len(angle)
@@ -204,12 +212,12 @@ class PlaneWall(_Wall):
 
 @dataclass(frozen=True, kw_only=True)
 class PipeWall(_Wall):
-    """Inner surface of a round pipe along an axis of lines and arcs, exact (no facets)."""
+    """Exact inner surface of a round pipe, without facets, along an axis of lines and arcs."""
 
     name: str
     axis: Axis
     radius: float
-    """Inner radius [m]."""
+    """Inner radius of the pipe [m]."""
     material: str = "wall"
     motion: Motion | None = None
 
@@ -220,7 +228,7 @@ class PipeWall(_Wall):
 
     @property
     def reference_points(self) -> np.ndarray:
-        # It may only translate, so every point has its speed.
+        # A pipe wall may translate but not rotate, so that all of its points have the same speed.
         return np.array([self.motion.pivot if isinstance(self.motion, Prescribed) else (0.0, 0.0, 0.0)])
 
     def fill(self, row: Any, add_axis: AddAxis) -> None:
@@ -230,22 +238,22 @@ class PipeWall(_Wall):
         row.first, row.last = add_axis(self.axis)
 
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Vertices (v, 3) and faces (f, 3) in the wall's frame."""
+        """Return vertices [m] (v, 3) and faces (f, 3) of the pipe in the wall's frame."""
         return self.axis.tube(self.radius, SIDES)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshWall(_Wall):
-    """Triangle mesh, rigid; either side may hold material.
+    """Rigid triangle mesh; material may lie on either side.
 
-    Coincident corners, and triangles that repeat another one whichever way they wind, make one surface.
+    Coincident corners are merged, and triangles that repeat others in either orientation are removed.
     """
 
     name: str
     vertices: np.ndarray
-    """[m], shape (v, 3), in the wall's frame, which starts as the world's."""
+    """Corners of the mesh [m] in the wall's frame, which initially coincides with the world's, shape (v, 3)."""
     faces: np.ndarray
-    """Shape (f, 3)."""
+    """Corner numbers of each triangle, shape (f, 3)."""
     material: str = "wall"
     motion: Motion | None = None
 
@@ -268,7 +276,11 @@ class MeshWall(_Wall):
 
     @cached_property
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What bodies touch: cleaned corners (v, 3) [m] and triangles (g, 3), and the number of each in `faces`."""
+        """Surface used for contacts: cleaned corners and triangles of the mesh.
+
+        The three arrays are the corners [m], shape (v, 3), the triangles, shape (g, 3), and the number of each triangle
+        in `faces`, shape (g,).
+        """
         return clean(self.vertices, self.faces)
 
     @property
@@ -281,7 +293,7 @@ class MeshWall(_Wall):
         row.extent = float(np.linalg.norm(self.vertices, axis=1).max())
 
     def drawn(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Vertices (v, 3) and faces (f, 3) in the wall's frame."""
+        """Return vertices [m] (v, 3) and faces (f, 3) of the mesh in the wall's frame."""
         return self.vertices, self.faces
 
     def __repr__(self) -> str:

@@ -1,1 +1,1 @@
-"""A concrete described as a mix: what a file says of it, and what follows for elements and flows."""
+"""Concretes described by their mix: reading of the description, and properties calculated from it."""

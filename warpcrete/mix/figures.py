@@ -1,4 +1,4 @@
-"""Numbers that follow from a mix: each with its band, from what it follows, and after whom."""
+"""Properties calculated from a mix, each with an uncertainty band, the input it follows from, and its source."""
 
 from __future__ import annotations
 
@@ -7,53 +7,53 @@ from dataclasses import dataclass
 from ..core.errors import refuse
 
 INSTRUMENTS = 2.0
-"""Factor by which instruments may differ about one concrete before they contradict each other: a choice. That
-rheometers differ was found by comparing them (Ferraris & Martys 2003; RILEM TC 266-MRP 2023); by how much was not
-looked up."""
+"""Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
+factor is a choice: comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP 2023),
+but no figure was taken from them."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A number of a concrete."""
+    """Calculated or measured property of a concrete."""
 
     name: str
     value: float
     low: float
     high: float
-    """Band in which the true one is thought to lie."""
+    """Lower and upper end of the band in which the true value is expected, in `unit`."""
     unit: str
     way: str
-    """From what of the mix it follows."""
+    """Entry of the mix from which the value follows."""
     source: str
-    """After whom, and how sure that is."""
+    """Author of the relation, and how reliable the value is."""
     instrument: str = "rheometer"
-    """That told it: a rheometer, or a cone."""
+    """Instrument from which the value comes: a rheometer or a cone."""
 
     def __post_init__(self) -> None:
         assert self.low <= self.value <= self.high, self
 
     @property
     def span(self) -> str:
-        """Value and band in words."""
+        """Value, band and unit as text."""
         band = "" if self.low == self.high else f" ({short(self.low)} to {short(self.high)})"
         return f"{short(self.value)}{band} {self.unit}"
 
 
 def short(value: float) -> str:
-    """Three digits of a number, without an exponent where people use none."""
+    """Format a number with three significant digits, without an exponent where readers expect none."""
     return f"{float(f'{value:.3g}'):g}"
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """A number that may be off by so much of itself, either way."""
+    """Return a property whose relative uncertainty is `off` in both directions."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
 def agreed(candidates: list[Figure]) -> tuple[Figure, list[str]]:
-    """The first of what several ways tell of one number, if all of them can be true together; and what to know of those
-    that hardly can.
+    """Return the first of several values for one property, and remarks on differences between them.
 
-    Between a rheometer and a cone bands may lie apart by :data:`INSTRUMENTS`.
+    The candidates come from different entries of the mix. Raises :class:`SceneError` if the bands of two of them
+    contradict each other. Between a rheometer and a cone, bands may differ by a factor of :data:`INSTRUMENTS`.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

@@ -1,4 +1,4 @@
-"""What a file says of a mix: read, in SI units, and refused where it cannot be."""
+"""Reading the description of a mix from a file: conversion to SI units and checks of all entries."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ T = TypeVar("T")
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
-"""Names of the constants of a slip layer where limits are stated."""
+"""Names under which limits are stated for the constants of a slip layer."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
-"""Columns of points of a tribometer and of a viscometer."""
+"""Columns of points measured with a viscometer, with their SI units."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A number of a mix: its meaning, its unit, and what is possible."""
+    """Numeric entry of a mix: its meaning, its unit and its possible range."""
 
     help: str
     unit: str
@@ -44,7 +44,7 @@ NUMBERS = {
     "spread": Entry("spread of the Abrams cone", "m", 0.35, 1.2),
     "t500": Entry("time until the spread reaches 500 mm", "s", 0.5, 120),
 }
-"""Numbers of a mix."""
+"""Numeric entries of a mix."""
 OTHERS = {
     "parts": "mass of each ingredient in a cubic metre [kg/m3], all of them",
     "aggregate": "coarse aggregate: share of the volume, or mass in a cubic metre with its unit",
@@ -56,27 +56,29 @@ OTHERS = {
     "viscometer": "points of a viscometer: pairs of rate and stress, or the path of a CSV file",
     "layer": "slip layer: its constants, points of a pipe, or points of a tribometer",
 }
-"""Other entries of a mix."""
+"""Entries of a mix that are not single numbers, with their meaning."""
 KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
         "viscometer", "slump", "spread", "t500", "layer")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
-"""Words for the shape of stones, and what elements take for them; a shape factor makes rows of spheres."""
+"""Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
+a row of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
 """Smallest and largest stone that counts as coarse aggregate [m]."""
 PACKED = 0.57
-"""Of the volume, equal balls packed as they fall (Mahaut et al. 2008): no concrete has more coarse aggregate."""
+"""Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
+aggregate."""
 GRAVEL = 2650.0
-"""Density of aggregate that nobody gave [kg/m3]."""
+"""Density of aggregate if none is stated [kg/m3]."""
 OFF = 0.03
-"""By which densities may be off that should be the same."""
+"""Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
-"""Densities that a mortar can have [kg/m3]."""
+"""Smallest and largest possible density of a mortar [kg/m3]."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Constants by name with a common uncertainty, relative; None where it is not given."""
+    """Measured constants by name, with a common relative uncertainty, which is None if not stated."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: float | None = None
@@ -84,39 +86,39 @@ class Measured:
 
 @dataclass(frozen=True)
 class Layer:
-    """What was measured of the slip layer: one of the three."""
+    """Measurements of the slip layer: constants, points from a pipe, or points from a tribometer."""
 
     constants: Measured | None = None
     pumped: tuple[list[float], list[float]] | None = None
-    """Flows [m3/s] and pressures [Pa] of a pipe of these measures."""
+    """Flows [m3/s] and pressures [Pa] measured on a pipe of the given dimensions."""
     diameter: float = 0.0
     length: float = 0.0
     rise: float = 0.0
-    """[m]"""
+    """Height of the pipe's end above its start [m]."""
     slipped: tuple[list[float], list[float]] | None = None
-    """Speeds [m/s] and stresses [Pa] of a tribometer."""
+    """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """A mix as its file has it; None where it says nothing."""
+    """Entries of a mix in SI units; an entry that is missing in the file is None."""
 
     density: float
-    """Of the concrete [kg/m3]."""
+    """Density of the concrete [kg/m3]."""
     summed: bool
-    """It is the sum of the parts."""
+    """Whether the density is the sum of the ingredients."""
     share: float | None
-    """Of the volume, coarse aggregate."""
+    """Coarse aggregate as a share of the concrete's volume."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
-    """Openings [m] and what passes them of the mass."""
+    """Openings of the sieves [m], each with the mass fraction that passes it."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """As elements have it."""
+    """Shape of the stones, as the discrete element method names it."""
     concrete: Measured
     mortar: Measured
     sheared: tuple[list[float], list[float]] | None
-    """Rates [1/s] and stresses [Pa] of a viscometer."""
+    """Shear rates [1/s] and stresses [Pa] measured with a viscometer."""
     slump: float | None
     spread: float | None
     t500: float | None
@@ -124,14 +126,17 @@ class Given:
 
     @property
     def largest(self) -> float | None:
-        """Largest stone [m]."""
+        """Diameter of the largest stone [m]."""
         if self.sieve is not None:
             return self.sieve[-1][0]
         return self.sizes[1] if self.sizes is not None else None
 
 
 def read(given: Mapping[str, Any], folder: Path) -> Given:
-    """A mix from the section of a file in `folder`. Raises :class:`SceneError` for one that contradicts itself."""
+    """Read a mix from its section in a file in `folder`.
+
+    Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
+    """
     if not given:
         refuse("mix", given, "is empty", f"say something of it: {', '.join(KEYS)}")
     if not isinstance(given, Mapping):
@@ -174,7 +179,7 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
 
 
 def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T | None:
-    """Return what an entry says, or None where there is no such entry; errors name its line."""
+    """Return the converted value of an entry, or None if it is missing; error messages name the entry's line."""
     if name not in given:
         return None
     with within(given, name):
@@ -182,7 +187,7 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
 
 
 def _number(given: Mapping[str, Any], name: str) -> float | None:
-    """Return one of :data:`NUMBERS`, or None where it is not given."""
+    """Return one of the numeric entries :data:`NUMBERS` in SI units, or None if it is missing."""
     if given.get(name) is None:
         return None
     entry = NUMBERS[name]
@@ -193,7 +198,10 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
-    """Return the density of the concrete, and whether it is the sum of its parts; `heavy` is the coarse aggregate's."""
+    """Return the concrete's density [kg/m3], and whether it is the sum of its ingredients.
+
+    `heavy` is the density of the coarse aggregate [kg/m3].
+    """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
         if own is None:
@@ -217,7 +225,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
 
 
 def _share(given: Any, heavy: float) -> float:
-    """Of the volume; from kg/m3 by the density of the stones."""
+    """Return the coarse aggregate's share of the concrete's volume.
+
+    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
+    """
     if isinstance(given, str) and re.search(r"(kg|t|g)/", given):
         found = amount("mix aggregate", given, "kg/m3") / heavy
     else:
@@ -233,7 +244,7 @@ def _share(given: Any, heavy: float) -> float:
 
 
 def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:
-    """Densities of concrete, stones and mortar must fit."""
+    """Check that the densities of concrete, coarse aggregate and mortar are consistent."""
     rest = (density - share * heavy) / (1 - share)
     words = f"leaves a mortar of {rest:.4g} kg/m3 beside {share:.3g} of aggregate of {heavy:g}"
     if not MORTARS[0] <= rest <= MORTARS[1]:
@@ -244,7 +255,7 @@ def _check_parts(density: float, share: float, heavy: float, own: float | None) 
 
 
 def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
-    """Openings [m] with fractions, from millimetres with fractions or per cent."""
+    """Return sieve openings [m] with passing fractions, from openings in millimetres and fractions or percentages."""
     example = "as {4: 0, 8: 0.4, 16: 1}, mm: what passes of the mass"
     if not isinstance(given, Mapping) or len(given) < 2:
         refuse("mix sieve", given, "must be two openings or more, and what passes them", example)
@@ -294,7 +305,7 @@ def _shape(given: Any) -> str:
 
 
 def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Constants of a section of the mix."""
+    """Return the measured constants of a section of the mix."""
     if not isinstance(given, Mapping):
         refuse(f"mix {name}", given, "must be a mapping", f"of {', '.join(units)}, and the uncertainty")
     for key in given:
@@ -314,7 +325,7 @@ def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
 
 
 def _layer(given: Any, folder: Path) -> Layer:
-    """Of constants, of points of a pipe or of points of a tribometer."""
+    """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
     if not isinstance(given, Mapping):
         refuse("mix layer", given, "must be a mapping", "as {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
     if not given:
@@ -343,7 +354,7 @@ def _layer(given: Any, folder: Path) -> Layer:
 
 
 def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
-    """Columns of points, from a CSV file beside the mix or from pairs in SI units or with theirs."""
+    """Return two columns of points, from a CSV file in the mix's folder or from pairs in SI units or with units."""
     if isinstance(given, str):
         one, other = read_points(folder / given, columns, f"mix {name}")
     else:

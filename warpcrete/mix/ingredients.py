@@ -1,4 +1,4 @@
-"""What a cubic metre of concrete is made of: ingredients by their names, their densities, and whether they fill it."""
+"""Ingredients of a cubic metre of concrete: their names and densities, and a check that they fill the volume."""
 
 from __future__ import annotations
 
@@ -25,31 +25,34 @@ DENSITIES = {
 }  # fmt: skip
 """Usual density of each ingredient by a word of its name [kg/m3]."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words for coarse aggregate, whose density a mix may state."""
+"""Words for coarse aggregate; a mix may state the density of these ingredients."""
 VARIES = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
-"""Words for ingredients of which the density is not known well enough to add up volumes."""
+"""Words for ingredients whose density varies too much to add up volumes."""
 LEAST = 0.01
-"""Smallest amount of an ingredient [kg/m3]; admixtures have 0.1 and more."""
+"""Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
 FILLED = (0.88, 1.05)
-"""Volumes of all ingredients that are possible in a cubic metre [m3/m3]: the rest is air, and densities vary."""
+"""Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
+vary."""
 USUAL_AIR = (-0.02, 0.06)
-"""Air content that needs no remark [m3/m3]: 1 to 3 % are usual; less than none comes from densities that vary."""
+"""Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
+the content negative."""
 OFF, FAR_OFF = 0.03, 0.07
-"""Deviations of the whole from a cubic metre, where the air is stated, that are warned of and refused [m3/m3]."""
+"""Deviations from a cubic metre [m3/m3] of all ingredients and the stated air, above which the mix causes a warning or
+is refused."""
 
 
 def density_of(name: str) -> float | None:
-    """Return the usual density of an ingredient [kg/m3], or None if it varies or is not known.
+    """Return the usual density of an ingredient [kg/m3], or None if it varies or is unknown.
 
-    Raises :class:`SceneError` for a name that is a misspelt one.
+    Raises :class:`SceneError` for a name that is probably misspelt.
     """
     words = [word for word in re.split(r"[^a-z]+", name.casefold()) if word]
     if any(word in VARIES for word in words):
         return None
     known = [DENSITIES[word] for word in words if word in DENSITIES]
     if known:
-        return known[-1]  # the last word is the noun, as in "limestone sand"
+        return known[-1]  # The last word is the noun, as in "limestone sand".
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is no known ingredient", meant)
@@ -58,9 +61,10 @@ def density_of(name: str) -> float | None:
 
 
 def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -> None:
-    """Refuse parts [kg/m3] that cannot fill one cubic metre with the `air` [m3/m3] in it, and warn of unlikely ones.
+    """Check that ingredients [kg/m3] and `air` [m3/m3] fill one cubic metre.
 
-    `coarse` is the density of the coarse aggregate [kg/m3].
+    An impossible mix is refused, and an unlikely one causes a warning. `coarse` is the density of the coarse aggregate
+    [kg/m3].
     """
     filled, complete = 0.0, True
     for name, mass in parts.items():

@@ -1,4 +1,4 @@
-"""A mix, and what it is to elements and flows: `mix_of` a mapping, `read_mix` of a file."""
+"""Mix of a concrete, built from a mapping (`mix_of`) or a file (`read_mix`), and the parameters that follow from it."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from .rheology import layer, mortar, unknown_viscosity, viscosities, yield_stres
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
-"""Constants of a flow by their names there, and the figures' own."""
+"""Names of the constants of a flow, each with the name of the corresponding property of a mix."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa"}
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
 @dataclass(frozen=True, repr=False)
 class Mix:
-    """A concrete that was described as a mix."""
+    """Concrete described by its mix, with all properties calculated from it."""
 
     name: str
     source: str
     given: Given
     figures: tuple[Figure, ...]
-    """All that follows; SI units."""
+    """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
-    """What a reader should know."""
+    """Warnings for the reader of the results."""
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
 
     def _repr_html_(self) -> str:
-        """The table, as notebooks show it."""
+        """Return the table of properties as HTML, for notebooks."""
         rows = [("th", COLUMNS), *(("td", tuple(row.values())) for row in self.rows())]
         cells = ("".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) for tag, row in rows)
         return f"<table>{''.join(f'<tr>{each}</tr>' for each in cells)}</table>"
 
     def __getitem__(self, name: str) -> Figure:
-        """The figure of a name, as 'yield stress' or 'slip viscosity'."""
+        """Return the property of this name, such as 'yield stress' or 'slip viscosity'."""
         known = {figure.name: figure for figure in self.figures}
         if name not in known:
             refuse("figure", name, f"must be one of {', '.join(known)}")
@@ -57,22 +57,25 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """A Bingham fluid with a slip layer."""
+        """The mix as a Bingham fluid with a slip layer."""
         return self._concrete("value")
 
     @property
     def band(self) -> tuple[Concrete, Concrete]:
-        """The same with every constant at the lower, and at the upper end of its band."""
+        """Two Bingham fluids: with all constants at the lower and with all at the upper end of their bands."""
         return self._concrete("low"), self._concrete("high")
 
     @property
     def flow(self) -> dict[str, float]:
-        """Section of a concrete's file."""
+        """Constants for the section `flow` of a concrete's file."""
         return {key: self[name].value for key, name in FLOW.items()}
 
     @property
     def elements(self) -> dict[str, Any]:
-        """Likewise, of sizes and shapes; density and slip layer follow from the flow."""
+        """Sizes and shapes for the section `elements` of a concrete's file.
+
+        The density and the slip layer are not repeated there, because they follow from the section `flow`.
+        """
         given, found = self.given, {}
         if given.sieve is not None:
             found["sizes"] = ",".join(f"{1e3 * opening:.6g}:{passing:.6g}" for opening, passing in given.sieve)
@@ -84,7 +87,7 @@ class Mix:
 
     @property
     def aggregates(self) -> dict[str, float]:
-        """Parameters of the coarse aggregate in a flow of two phases; empty where its share is not known."""
+        """Parameters of the coarse aggregate in a two-phase flow; empty if the share of coarse aggregate is unknown."""
         if self.given.share is None:
             return {}
         return {
@@ -95,7 +98,10 @@ class Mix:
         }
 
     def rows(self) -> list[dict[str, str]]:
-        """The table's, by :data:`COLUMNS`; the words of sizes and shape besides the figures."""
+        """Return the rows of the table of properties, each a mapping with the keys :data:`COLUMNS`.
+
+        The last rows describe the aggregate's share, sizes and shape.
+        """
         found = []
         for each in self.figures:
             band = f"{short(each.low)} to {short(each.high)}" if each.low < each.high else ""
@@ -112,16 +118,16 @@ class Mix:
         return [dict(zip(COLUMNS, row, strict=True)) for row in found]
 
     def table(self) -> str:
-        """What follows from the mix, as text."""
+        """Return the table of properties as plain text."""
         rows = [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows()]
         wide = {name: max(len(row[name]) for row in rows) for name in COLUMNS[:-1]}
         return "\n".join("  ".join([*(row[name].ljust(wide[name]) for name in wide), row["source"]]) for row in rows)
 
 
 def read_mix(name: Path | str) -> Mix:
-    """The mix that a file, or a shipped concrete of this name, describes.
+    """Read the mix from a file, or from a shipped concrete by its name.
 
-    Raises :class:`SceneError` for one that contradicts itself or does not say enough.
+    Raises :class:`SceneError` if the mix contradicts itself or does not determine the concrete.
     """
     found = mix_in(concrete(str(name)))
     if found is None:
@@ -130,12 +136,15 @@ def read_mix(name: Path | str) -> Mix:
 
 
 def mix_named(name: str) -> Mix | None:
-    """The mix of a concrete by its name or path, if it is described as one; `own` is none."""
+    """Return the mix of a concrete, given by its name or path, or None if it has no mix; `own` has none."""
     return None if name == "own" else mix_in(concrete(name))
 
 
 def mix_in(found: NamedConcrete) -> Mix | None:
-    """The mix of a concrete, if it is described as one; entries of its own section `flow` go before what follows."""
+    """Return the mix of a concrete, or None if it has no mix.
+
+    Constants in the concrete's own section `flow` take precedence over those calculated from the mix.
+    """
     if found.mix is None:
         return None
     stated = known_only("flow", found.mix.flow, FLOW, found.name)
@@ -146,8 +155,11 @@ def mix_of(
     given: Mapping[str, Any], folder: Path = Path(), name: str = "mix", source: str = "",
     stated: Mapping[str, float] | None = None,
 ) -> Mix:  # fmt: skip
-    """A mix from the contents of a section `mix`; `folder` is where its files of points are, `stated` constants of the
-    flow that are taken as they are.
+    """Build a mix from the entries of a section `mix`.
+
+    Files with measured points are searched for in `folder`. `stated` are constants of the flow, which replace
+    calculated ones. Raises :class:`SceneError` if the entries contradict each other or do not determine the yield
+    stress.
     """
     told = read(given, folder)
     way = "sum of the parts" if told.summed else "density"
@@ -175,7 +187,7 @@ def mix_of(
 
 
 def _named(key: str, value: Any) -> Figure:
-    """A constant that the section `flow` has."""
+    """Return a constant of the section `flow` as a property without uncertainty."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
@@ -185,8 +197,10 @@ def _named(key: str, value: Any) -> Figure:
 
 
 def completed(name: str) -> NamedConcrete:
-    """The concrete of a name or a path, with the sections that its mix stands for; what its own sections have goes
-    before that, and that before its base's.
+    """Return the concrete of a name or path with the sections that follow from its mix.
+
+    Entries in the concrete's own sections take precedence over the mix, and the mix over the concrete on which it is
+    based.
     """
     found = concrete(name)
     mix = mix_in(found)

@@ -1,4 +1,4 @@
-"""Points that were measured, from CSV files whose header names columns with their units."""
+"""Measured points from CSV files whose header names columns with their units."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..core.limits import check_limit
 from ..core.text_files import read_rows
 
 PUMPED = {"flow": "m3/s", "pressure": "Pa"}
-"""Columns of points of a pipe, and the units in which the program has them."""
+"""Columns of points measured on a pipe, with their SI units."""
 
 
 def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "fit") -> list[list[float]]:
-    """Return columns of a CSV file in SI units; its header names them with units, as `flow [m3/h],pressure [bar]`.
+    """Return columns of a CSV file in SI units, one list for each of `columns`.
 
-    `field` is what named the file. Raises :class:`SceneError` for a file without these columns, or with a number that
-    is not above 0.
+    The header names columns with their units, such as `flow [m3/h],pressure [bar]`. `field` is the entry that named the
+    file, for error messages. Raises :class:`SceneError` for a missing column or a number that is not positive.
     """
     header, rows = read_rows(path, field)
     heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]

@@ -1,8 +1,7 @@
-"""Yield stress and viscosity of a mix's concrete, mortar and slip layer: what is measured, and what follows from the
-rest by published relations.
+"""Yield stress and viscosity of a mix's concrete, mortar and slip layer: measured, or from published relations.
 
-Rheometers of different make read the same concrete differently (Ferraris & Martys 2003; RILEM TC 266-MRP 2023), so what
-a relation found beside one of them is not surer than that.
+Rheometers of different makes give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023), so a relation that was derived with one rheometer is at best as accurate as that.
 """
 
 from __future__ import annotations
@@ -26,28 +25,35 @@ from .figures import Figure, around
 from .given import PACKED, Given, Measured
 
 RHEOMETER = 0.2
-"""Of constants that were given without an uncertainty."""
+"""Relative uncertainty of measured constants of a concrete or mortar that are stated without one."""
 TRIBOMETER = 0.15
-"""Likewise of a slip layer's: pressures follow from measured ones within 15 % (Mai et al. 2014)."""
+"""Relative uncertainty of a slip layer's constants that are stated without one: pressures calculated from such
+constants agree with measured ones within 15 % (Mai et al. 2014)."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
-"""By which slump [m], spread [m] and T500 [s] may be misread (EN 12350-2 and -8: repeatability of 16 to 42 mm)."""
+"""Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
+mm."""
 ROUGHEST, EASIEST = (3.25, PACKED), (2.5, 0.65)
-"""Intrinsic viscosity and densest packing at the ends of the band: of rough grains, a choice of a third above spheres'
-(ascribed to Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal balls (Mahaut et al.
-2008), and of spheres of mixed sizes."""
+"""Intrinsic viscosity and densest packing at the ends of the band of the mortar's thickening by aggregate. The upper
+end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a choice (ascribed to
+Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal spheres (Mahaut et al. 2008). The
+lower end stands for spheres of mixed sizes."""
 SLOWER = 1.3
-"""Factor by which T500's relation is off for lifts of 1 to 3 s and for inertia, measured."""
+"""Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
+in simulations."""
 UNKNOWN = (70.0, 20.0, 400.0)
-"""Plastic viscosity that nothing tells [Pa s], and its band: wide enough for the three concretes of Xu, Li & Jiang
-(2021), and for thinner ones."""
+"""Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
+band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
 LAYER_OFF = 3.0
-"""Factor by which a slip layer that was not measured may be off, either way."""
+"""Factor, in both directions, by which an assumed slip layer may differ from the true one."""
 TWICE = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26, 10: 2.23}
-"""Standard errors within which 95 % lie, by the points beyond two (Student's t)."""
+"""Factor from the standard error to the 95 % confidence limit, Student's t, by the number of points minus two."""
 
 
 def yield_stresses(given: Given) -> Iterator[Figure]:
-    """What the mix tells of the concrete's yield stress, best first."""
+    """Generate estimates of the concrete's yield stress, the most accurate first.
+
+    Each entry of the mix that determines the yield stress gives one estimate.
+    """
     yield from _stated(given.concrete, "yield_stress", "Pa", "concrete")
     if given.sheared is not None:
         yield _offset("yield stress", given.sheared, "Pa", "viscometer")
@@ -69,7 +75,10 @@ def yield_stresses(given: Given) -> Iterator[Figure]:
 
 
 def viscosities(given: Given) -> Iterator[Figure]:
-    """What the mix tells of the concrete's plastic viscosity, best first."""
+    """Generate estimates of the concrete's plastic viscosity, the most accurate first.
+
+    Each entry of the mix that determines the viscosity gives one estimate.
+    """
     yield from _stated(given.concrete, "viscosity", "Pa s", "concrete")
     if given.sheared is not None:
         yield _slope("viscosity", given.sheared, "Pa s", "viscometer")
@@ -85,13 +94,13 @@ def viscosities(given: Given) -> Iterator[Figure]:
 
 
 def unknown_viscosity() -> Figure:
-    """Where nothing tells it."""
+    """Return the assumed plastic viscosity of a mix that contains no information about it."""
     return Figure("viscosity", *UNKNOWN, "Pa s", "nothing: a guess",
                   "Xu, Li & Jiang 2021 measured 297 to 397; of thinner concretes no source was seen")  # fmt: skip
 
 
 def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Viscosity and yield stress of the mortar, where the share of coarse aggregate in it is known."""
+    """Return density, viscosity and yield stress of the mortar; empty if the share of coarse aggregate is unknown."""
     found = []
     if given.share is None:
         return found
@@ -109,7 +118,7 @@ def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Fi
 
 
 def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
-    """Viscous constant and yield stress of the slip layer: as measured, or guessed from what others measured."""
+    """Return viscous constant and yield stress of the slip layer, measured or assumed from published values."""
     own = given.layer
     if own.constants is not None:
         off = TRIBOMETER if own.constants.uncertainty is None else own.constants.uncertainty
@@ -128,7 +137,7 @@ def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
         return _fitted_layer(straight_line(speeds, stresses), len(speeds), f"{len(speeds)} points of a tribometer")
     known = CONCRETES.values()
     eta = sum(each.slip_viscosity for each in known) / len(CONCRETES)
-    # What yields in the layer is the concrete without its stones: no later than the concrete.
+    # The slip layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
     tau = min(sum(each.slip_yield for each in known) / len(CONCRETES), concrete.yield_stress)
     source = f"a guess, off by a factor of {LAYER_OFF:g} either way: measure it"
     return (
@@ -151,12 +160,12 @@ def _mortar(given: Given, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """What aggregate makes of viscosity and yield stress: most likely, least and most."""
+    """Return the factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], EASIEST, ROUGHEST))
 
 
 def _thickened(own: Figure, given: Given, place: int, source: str) -> Figure:
-    """Of the concrete, from its mortar's."""
+    """Return the concrete's viscosity or yield stress, calculated from its mortar's."""
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,
@@ -164,7 +173,11 @@ def _thickened(own: Figure, given: Given, place: int, source: str) -> Figure:
 
 
 def _off(error: float, count: int, value: float, default: float) -> float:
-    """By which a number from a line through points may be off."""
+    """Return the uncertainty of a value from a straight line through `count` points.
+
+    With three or more points, this is the half width of the 95 % confidence interval, from the standard `error`. With
+    two points, it is the share `default` of the value.
+    """
     if count < 3:
         return default * abs(value)
     return TWICE.get(count - 2, 2.1) * error

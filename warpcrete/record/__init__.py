@@ -1,1 +1,1 @@
-"""Where runs go: run folders, recordings, USD scenes, pictures, notebooks."""
+"""Recorders and readers of runs: run folders, Rerun recordings, USD scenes, ParaView files, pictures and notebooks."""

@@ -1,4 +1,4 @@
-"""How a recording is laid out in the Rerun viewer: the scene, a cut through it, chains of force, curves, a legend."""
+"""Layout of a recording in the Rerun viewer: the scene, a cut through it, force chains, curves and a legend."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from .legend import capitalised, legend_title
 
 PAPER = (250, 250, 250)
 PLAYED = 8.0
-"""Seconds that a run of less simulated time plays for."""
+"""Shortest time for which the viewer plays a run [s]; shorter simulated times are played in slow motion."""
 SLIM = 0.25
-"""Width over height, or height over width, of what is seen best with all views side by side."""
+"""Ratio of width to height, or of height to width, of the scene below which all views are arranged in one row or
+column."""
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths of what the whole scene is drawn without."""
+"""Paths of the entities that the view of the whole scene leaves out."""
 PAINT_LEGEND = "legend_of_walls"
 
 
 def blueprint(display: Display, *, network: bool, legend: bool, duration: float) -> Any:
-    """Views of what the recorder logs of a display, of a run that takes `duration` [s] about."""
+    """Return the layout of the views for a recorder's data, for a run of about `duration` [s] of simulated time."""
     import rerun.blueprint as rrb
 
     scenes = _arranged(display, _scenes(display, network))
@@ -43,7 +44,7 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
 
 
 def _arranged(display: Display, views: list[Any]) -> Any:
-    """Beside one another where what there is to see is tall, below one another where it is long."""
+    """Arrange the views in a row if the scene is tall, or in a column if the scene is long."""
     import rerun.blueprint as rrb
 
     wide, _, high = np.ptp(display.bounds(), axis=0)
@@ -55,7 +56,7 @@ def _arranged(display: Display, views: list[Any]) -> Any:
 
 
 def _scenes(display: Display, network: bool) -> list[Any]:
-    """Views in space: the whole, the cut, the chains."""
+    """Return the spatial views: the whole scene, the cut, and the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
     found = [_view(display, f"{noun.capitalize()} by {display.colouring}", whole)]
@@ -63,7 +64,8 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     if kept is not None:
         import rerun as rr
 
-        # The viewer hides what stood before the plane at the start: the recording holds every body once.
+        # Bodies in front of the cutting plane at the start get the radius 0 in this view, so that the recording holds
+        # the positions of every body only once.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
         contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
         found.append(_view(display, "Cut through the middle", contents, hidden))
@@ -88,7 +90,10 @@ def _view(display: Display, name: str, contents: list[str], overrides: dict[str,
 
 
 def behind(display: Display) -> np.ndarray | None:
-    """Which spheres lie behind the cut; None where there is none, or nothing on one side of it."""
+    """Return which spheres lie behind the cutting plane, as booleans of shape (n,).
+
+    The result is None without a plane, or if all spheres lie on one side of it.
+    """
     if display.cut is None:
         return None
     kept = display.centres()[:, 1] >= display.cut
@@ -96,7 +101,7 @@ def behind(display: Display) -> np.ndarray | None:
 
 
 def cut_walls(display: Display) -> list[DrawnWall]:
-    """What stands still and is seen through, without what of it lies before the cut."""
+    """Return the fixed, transparent walls without their faces in front of the cutting plane."""
     found = []
     for number, wall in enumerate(display.walls()):
         if wall.moves or wall.colour[3] == 255 or display.cut is None:

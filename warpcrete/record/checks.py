@@ -1,4 +1,4 @@
-"""A scene's own acceptance of its runs, kept with their results."""
+"""Recorder that stores the scene's own acceptance checks with the results of a run."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ..core.run_loop import Recorder, Run, Simulation
 
 
 class CheckRecorder(Recorder):
-    """Enters into the result of a finished run what the scene's `check` has to say of it.
+    """Recorder that adds the results of the scene's `check` to the result of a finished run.
 
-    It must finish before the table does, which writes the result.
+    It must finish before the recorder of the table, which writes the result.
     """
 
     def __init__(self, check: Check) -> None:
         self.check = check
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Check a run that went to its end."""
+        """Check a run that reached its end."""
         if run.finished:
             found = self.check(run)
             run.result["checks"] = {
@@ -27,5 +27,5 @@ class CheckRecorder(Recorder):
 
 
 def failed_checks(result: dict[str, Any]) -> list[str]:
-    """Names of the checks that failed, by a result.json."""
+    """Return the names of the failed checks in the contents of a result.json."""
     return [name for name, check in result.get("checks", {}).items() if not check["passed"]]

@@ -1,4 +1,4 @@
-"""Parts of a recording, joined into one file."""
+"""Joining of the parts of a Rerun recording into one file."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from ..core.viewer import rerun_tool
 
 
 def join(parts: Sequence[Path], path: Path) -> None:
-    """Join the parts that are there into `path`, the first of them, by Rerun's own tool, and remove the others.
+    """Join the existing parts of a recording into the file `path`, which is the first part, and remove the others.
 
-    A part that a killed run did not write to its end is taken as far as it is whole; chunks that two parts have, as
-    after a kill during the join, count once. Raises :class:`RunFolderError` where that fails; the parts then stay.
+    Rerun's own tool joins the parts. If a killed run left a part incomplete, the tool takes its complete chunks. A
+    chunk that occurs in two parts, as after a kill during a join, is stored once. Raises :class:`RunFolderError` if
+    joining fails; the parts then remain.
     """
     parts = [part for part in parts if part.is_file()]
     partial = partial_of(path)

@@ -1,4 +1,4 @@
-"""What the colours of a recording mean, as a picture and in words."""
+"""Meaning of the colours of a recording, as a picture and in words."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from ..core.display import Display
 from ..core.paint import Paint
 
 SIZE, DENSITY = (9.0, 0.55), 100
-"""Of the picture [in], and dots per inch."""
+"""Size of the legend's picture [in], and its resolution [dots per inch]."""
 
 
 def legend_title(display: Display) -> str:
-    """What colours show, with the unit."""
+    """Return the title of the legend: the quantity or things that the colours show, with the unit."""
     scale = display.scale()
     return capitalised(scale[0] if scale is not None else ", ".join(display.things()))
 
 
 def capitalised(title: str) -> str:
-    """With a capital first, the units as they are."""
+    """Return the text with a capital first letter; the rest, such as units, does not change."""
     return title[:1].upper() + title[1:]
 
 
 def meaning(display: Display) -> str:
-    """What colours show, in a sentence."""
+    """Return a sentence that explains the colours of the bodies, or an empty text."""
     scale = display.scale()
     if scale is not None:
         label, lower, upper = scale
@@ -38,14 +38,17 @@ def meaning(display: Display) -> str:
 
 
 def paint_meaning(paint: Paint) -> str:
-    """What the colours of painted walls show, in a sentence."""
+    """Return a sentence that explains the colours of painted walls."""
     if not paint.upper > 0:
         return f"Colours: {paint.label}, nothing yet, on {paint.palette}."
     return f"Colours: {paint.label} from 0 to {paint.upper:.3g} and above, on {paint.palette}."
 
 
 def legend(display: Display) -> bytes | None:
-    """A bar of the colours with their values as PNG, or a patch for each thing; None where there is nothing to say."""
+    """Return the legend as a PNG, or None if the colours need no explanation.
+
+    The legend is a colour bar with values, or a patch of colour for each kind of thing.
+    """
     scale, things = display.scale(), display.things()
     if scale is not None:
         return _bar(scale[1], scale[2], "viridis")
@@ -60,7 +63,7 @@ def legend(display: Display) -> bytes | None:
 
 
 def paint_legend(paint: Paint) -> bytes | None:
-    """A bar of the colours of painted walls as PNG; None while there is nothing to show."""
+    """Return the colour bar of painted walls as a PNG, or None while there are no values to show."""
     return _bar(0.0, paint.upper, paint.palette) if paint.upper > 0 else None
 
 

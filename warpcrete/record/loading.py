@@ -1,4 +1,4 @@
-"""Runs read back from their folders."""
+"""Reading of runs from their folders."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ..core.text_files import saved_text
 from ..scenes import modules
 
 TABLES = ("stations",)
-"""That a run may have beside its series."""
+"""Names of the tables that a run folder may hold in addition to its series."""
 
 
 def load(folder: Path | str) -> Run:
-    """The run in a folder, as far as it got: scene, series, quantities.
+    """Return the run in a folder, as far as it was written: scene, series and results.
 
-    What only a simulation holds, as bodies at the end, is not there. A run that was killed has no result, and one
-    without rows no series; of a scene that can no more be made, as its mesh file has gone or changed, or that was
-    changed or built in Python, only name and parameters are there. Raises :class:`RunFolderError` for anything that is
-    no run folder of this version.
+    Data that only exists during a simulation, such as the final positions of bodies, is missing. A run that was killed
+    may lack its result, and one without samples has an empty series. The scene has only its name and its parameters if
+    it was modified or built in Python, or if it cannot be built again because a file that it read is missing or has
+    changed. Raises :class:`RunFolderError` if the folder is not a run folder of this version.
     """
     folder = Path(folder)
     if not (folder / "scene.json").is_file():
@@ -58,14 +58,14 @@ def load(folder: Path | str) -> Run:
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether a run folder is complete: its run went to the end, and nothing is left to be written."""
+    """Return whether a run folder is complete: its run reached the end, and all its files are written."""
     result = folder / "result.json"
     return result.is_file() and not (folder / "checkpoint.npz").is_file() and bool(read_json(result).get("finished"))
 
 
 @names_from_file()
 def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Contents of a scene.json, and the module of its scene."""
+    """Return the contents of a scene.json, and the module of its scene."""
     record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
         raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
@@ -78,14 +78,14 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
 
 
 def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """Return what :func:`saved_scene` does, for a run that is to be repeated or to go on.
+    """Return the contents of a scene.json and the module of its scene, for a run that is repeated or continued.
 
-    Raises :class:`RunFolderError` for the record of a scene that was changed after its function had made it, or built
-    by hand, or that reads files that have changed since.
+    Raises :class:`RunFolderError` if the scene was modified after its function had built it, if it was built by hand,
+    or if files that it reads have changed.
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    check_files(path, record.get("files", {}))  # before any of them is imported
+    check_files(path, record.get("files", {}))  # Check the files before any of them is imported.
     return saved_scene(path, known)
 
 
@@ -101,7 +101,7 @@ def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Columns and their units; a row that a killed run did not write to its end is left out."""
+    """Return the columns of a table and their units, without a last row that a killed run left incomplete."""
     if not path.is_file():
         return {}, {}
     try:

@@ -1,4 +1,4 @@
-"""Showing runs in notebooks: in Rerun's viewer where it is installed, as a picture elsewhere."""
+"""Display of runs in notebooks, in Rerun's viewer if it is installed, otherwise as a figure."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..methods import method_of
 def show(run: Run, recording: Path | str | None = None) -> Any:
     """Show a run's `recording` (.rrd) in Rerun's notebook viewer, or the run as a Matplotlib figure.
 
-    The viewer needs `pip install rerun-notebook`; without it, or without a recording, a figure is returned: the
-    aggregates at the end, or pressure and profiles of a flow.
+    The viewer needs `pip install rerun-notebook`. Without it, or without a recording, the result is a figure: the final
+    aggregates of a discrete element run, or pressure and profiles of a flow.
     """
     if recording is None or importlib.util.find_spec("rerun_notebook") is None:
         return method_of(run.scene).show(run)

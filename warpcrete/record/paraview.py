@@ -1,6 +1,7 @@
-"""The run as VTKHDF files, which ParaView, PyVista and VTK open: bodies, walls and contacts over time.
+"""Recorder for ParaView: bodies, walls and contacts over time as VTKHDF files, which PyVista and VTK open as well.
 
-The format is that of VTK 9.3 and later, version 2.0 of its specification, as `PolyData` with steps. h5py writes it.
+The format is version 2.0 of the VTKHDF specification (VTK 9.3 and later), with `PolyData` in time steps. The files are
+written with h5py.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from ..core.run_loop import Recorder, Run, Simulation
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")
-"""Cells of PolyData, in the order of the columns of CellOffsets."""
+"""Kinds of cells of PolyData, in the order of the columns of the dataset CellOffsets."""
 VERSION = (2, 0)
 
 
 class ParaViewRecorder(Recorder):
-    """Writes `bodies.vtkhdf`, `walls.vtkhdf` and, of scenes whose bodies touch, `contacts.vtkhdf` into `folder`.
+    """Recorder of `bodies.vtkhdf`, `walls.vtkhdf` and, if bodies touch each other, `contacts.vtkhdf` in `folder`.
 
-    Bodies are points with `radius`, `colour` and the fields of the display, every clump by its own spheres (in
-    ParaView: Glyph, Sphere, scaled by `radius`, or Point Gaussian). Frames wait in memory and are written at
-    checkpoints, each time into a copy that then takes the file's place: what was there is never half a file. Raises
-    :class:`WarpcreteError` where h5py is not installed.
+    Bodies are points with `radius`, `colour` and the fields of the display; a clump is shown by its spheres. In
+    ParaView, use Glyph, Sphere, scaled by `radius`, or Point Gaussian. Frames are kept in memory until a checkpoint.
+    Then they are appended to a copy of each file, which replaces the file, so that no file is ever incomplete. Raises
+    :class:`WarpcreteError` if h5py is not installed.
     """
 
     draws_alone = True
@@ -45,11 +46,11 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: Simulation) -> None:
-        """What is drawn, and the walls."""
+        """Prepare the display, the walls and the files."""
         self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._walls = self._display.walls()
         self._open()
-        for file in self._files.values():  # of a run that was cut before its first checkpoint
+        for file in self._files.values():  # Delete the files of a run that stopped before its first checkpoint.
             file.path.unlink(missing_ok=True)
 
     def _open(self) -> None:
@@ -60,7 +61,7 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Take out what came after the checkpoint, and what only some of the files have."""
+        """Remove the frames after the checkpoint, and frames that are not in all files."""
         self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -72,7 +73,7 @@ class ParaViewRecorder(Recorder):
             file.shorten(self._frames)
 
     def frame(self, simulation: Simulation) -> None:
-        """One step of each file."""
+        """Draw the current state as one step of each file."""
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
@@ -115,15 +116,15 @@ class ParaViewRecorder(Recorder):
         return {"frames": self._frames}
 
     def write(self, simulation: Simulation) -> None:
-        """Write what waits."""
+        """Write the frames that are kept in memory."""
         self._write()
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write the rest."""
+        """Write the remaining frames."""
         if self._files:
             try:
                 self._later.close()
-            finally:  # what there is
+            finally:  # Write what is there even if a job failed.
                 self._write()
 
     def _write(self) -> None:
@@ -132,18 +133,21 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """A file of PolyData with steps, each of them a part of its own."""
+    """VTKHDF file of PolyData in time steps; each step is a partition of the data."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
         self._waiting: list[tuple[float, np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
 
     def add(self, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]) -> None:
-        """A step: points (n, 3) [m], cells as numbers of their points (m, k), and what belongs to the points."""
+        """Add a step: points (n, 3) [m], cells as numbers of their points (m, k), and the fields of the points.
+
+        The step is kept in memory until :meth:`write` is called.
+        """
         self._waiting.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
 
     def write(self) -> None:
-        """Add the steps that wait to the file."""
+        """Append the steps that are kept in memory to the file."""
         import h5py
 
         if not self._waiting:
@@ -156,12 +160,12 @@ class Poly:
                     root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
                     for step in self._waiting:
                         self._append(root, *step)
-            except RuntimeError as error:  # h5py closes a file that does not fit with one
+            except RuntimeError as error:  # On a full disk, h5py raises RuntimeError while closing a file.
                 raise cannot_write(self.path, error) from error
         self._waiting = []
 
     def _begin(self, file: Any) -> Any:
-        """Empty datasets that grow."""
+        """Create the empty, extendable datasets of the format, and return their group."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(VERSION, np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))
@@ -190,7 +194,8 @@ class Poly:
         _extend(steps["NumberOfParts"], [1])
         _extend(steps["PointOffsets"], [len(root["Points"])])
         _extend(root["NumberOfPoints"], [len(points)])
-        # Offsets of a part are one more than its cells, which readers know: the step's counts cells alone.
+        # Each partition has one offset more than it has cells. Readers account for this, so CellOffsets counts only
+        # cells.
         before = [int(root[kind]["NumberOfCells"][:].sum()) for kind in KINDS]
         _extend(steps["CellOffsets"], [before])
         _extend(steps["ConnectivityIdOffsets"], [[len(root[kind]["Connectivity"]) for kind in KINDS]])
@@ -211,7 +216,7 @@ class Poly:
         steps.attrs["NSteps"] = np.int64(len(steps["Values"]))
 
     def count(self) -> int:
-        """Return the number of steps in the file; 0 where it is missing or damaged."""
+        """Return the number of steps in the file; 0 if the file is missing or damaged."""
         import h5py
 
         try:
@@ -221,7 +226,7 @@ class Poly:
             return 0
 
     def shorten(self, count: int) -> None:
-        """Keep so many steps."""
+        """Keep only the first `count` steps of the file."""
         import h5py
 
         if count == 0:
@@ -234,7 +239,7 @@ class Poly:
 
 
 def _cut(root: Any, count: int) -> None:
-    """Leave the first steps."""
+    """Remove all steps after the first `count` from an open file."""
     steps = root["Steps"]
     if int(steps.attrs["NSteps"]) == count:
         return

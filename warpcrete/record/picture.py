@@ -1,4 +1,4 @@
-"""The picture of a run folder."""
+"""Recorder that draws the pictures of a run folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..methods import method_of
 
 
 class PictureRecorder(Recorder):
-    """Writes the pictures that the run's method draws into `folder`, when the run ends."""
+    """Recorder that writes the pictures of the run's method into `folder` when the run ends."""
 
     expendable = True
 
@@ -18,7 +18,7 @@ class PictureRecorder(Recorder):
         self.folder, self.colouring = folder, colouring
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Draw, if there is anything to draw."""
+        """Draw the pictures for which the run has data."""
         method = method_of(simulation.scene)
         figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
         for name, figure in figures.items():

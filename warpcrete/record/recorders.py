@@ -1,4 +1,4 @@
-"""The recorders that a run folder may have, one entry each: the command makes its options from them."""
+"""Recorders of a run folder, with one entry for each; the command line builds its options from these entries."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from .usd import UsdRecorder
 
 @dataclass(frozen=True)
 class Look:
-    """How a run is drawn."""
+    """Settings for drawing a run."""
 
     colouring: str | None = None
-    """What colours show; None: what suits the method."""
+    """Quantity that the colours show; None selects a suitable one for the method."""
     network: bool = False
     live: bool | str = False
-    """Shown in a Rerun viewer while it runs: True opens one, or the URL of one that runs."""
+    """Display in a Rerun viewer during the run: True opens a viewer, and a URL names a running one."""
     bind: str = LOOPBACK
-    """IP address that a viewer that is opened listens on."""
+    """IP address on which a newly opened viewer listens."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A recorder that may be left out."""
+    """Optional recorder, with its name, default and help text."""
 
     name: str
-    """Of the option, and of the setting that is kept for a resumed run."""
+    """Name of the command-line option, and of the setting stored for a resumed run."""
     default: bool
-    """Whether `warpcrete run` has it unless told otherwise; studies have none unless told."""
+    """Whether `warpcrete run` uses the recorder by default; studies use none by default."""
     help: str
     make: Callable[[Path, Look], Recorder]
 
@@ -62,10 +62,12 @@ def recorders_of(
     going_on: bool = False,
     again: bool = False,
 ) -> list[Recorder]:
-    """Recorders of a run folder: table, checks and picture always, of the others those with a true entry in `chosen`.
+    """Return the recorders of a run folder.
 
-    `check` is the scene's; `command` are settings to keep for a resumed run; `going_on` takes the folder of the same
-    run, which was cut, and `again` only if it holds the record of this very run.
+    Table, checks and picture are always included, the others if they have a true entry in `chosen`. `check` is the
+    scene's acceptance check, and `command` holds settings that are stored for a resumed run. With `going_on`, the
+    folder must be that of the same, interrupted run. With `again`, an existing folder must hold the record of exactly
+    this run.
     """
     look = look or Look()
     found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again), CheckRecorder(check)]

@@ -1,4 +1,4 @@
-"""Recording for the Rerun viewer: to a file, to a viewer, or both."""
+"""Recorder for the Rerun viewer, which writes to a file, to a viewer, or to both."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
-"""Time that a viewer, or the writer of a file that does not grow, gets to take the rest [s]."""
+"""Time [s] for which the recorder waits for a viewer, or for a file that does not grow, to take the remaining data."""
 GOODBYE = 30.0
-"""Time that Rerun gets to close a file after a viewer did not take the recording [s]."""
+"""Time [s] that Rerun has for closing a file after a viewer has not taken the recording."""
 LOOK = 0.5
-"""Time between two looks at whether the file has grown [s]."""
+"""Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
 MARGIN = 512
-"""Texels before the first colour, of that colour: edges of triangles reach past their corners by part of a pixel."""
+"""Number of texels that repeat the first colour at the start of the texture. At the edges of a mesh, a renderer samples
+colours slightly outside the triangles."""
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
-    """Arrow's array of one tensor of Rerun's with other values, of the same number and type."""
-    union = tensor.field("buffer")  # of lists, one for each type
+    """Return the Arrow array of a Rerun tensor with its values replaced by others of the same number and type."""
+    union = tensor.field("buffer")  # Union of list arrays, one for each data type.
     kind = union.type_codes[0].as_py()
     members = [union.field(number) for number in range(union.type.num_fields)]
     members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
@@ -47,16 +48,16 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
 
 
 class RerunRecorder(Recorder):
-    """Bodies (every clump drawn by its own spheres), moving walls, curves and profiles on one timeline, a legend, and
-    a view of the inside.
+    """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
-    Parameters: `path` of the .rrd file or None; `live` True to open a viewer, or the URL of a running one
-    (`rerun+http://127.0.0.1:9876/proxy`); `bind` the IP address that an opened one listens on; `colouring` of bodies,
-    one of those that the method's display has; `network` also draws lines between bodies, where the display has any:
-    contacts as wide and bright as the force that they carry; bonds that do not press are orange.
+    Every clump is drawn by its own spheres. `path` is that of the .rrd file, or None. `live` is True to open a viewer,
+    or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened
+    viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds lines
+    between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds without
+    compression are orange.
 
-    Every checkpoint closes a part of the recording, `run.rrd`, `run-0001.rrd` and so on, so that a run that is
-    resumed goes on after a whole part. At the end they become one file.
+    Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
+    continues after a complete part. At the end the parts are joined into one file.
     """
 
     rows_alone = True
@@ -80,7 +81,7 @@ class RerunRecorder(Recorder):
         self._recording: Any = None
         self._later = Later(beside=False)
         self._display: Display | None = None
-        # Its log would go to the terminal, line by line; what fails is told by the calls.
+        # Rerun's log would fill the terminal; its calls report errors anyway.
         os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
@@ -92,9 +93,9 @@ class RerunRecorder(Recorder):
                 refuse("live", live, f"is no viewer's URL ({error})", "for example rerun+http://127.0.0.1:9876/proxy")
 
     def start(self, simulation: Simulation) -> None:
-        """Open the sinks, send the blueprint and everything that does not change."""
+        """Open the sinks, and send the blueprint and all data that does not change."""
         if self.path is not None:
-            for path in self._later_parts(0):  # of a run that was cut before its first checkpoint
+            for path in self._later_parts(0):  # Delete parts of a run that stopped before its first checkpoint.
                 path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
@@ -102,7 +103,7 @@ class RerunRecorder(Recorder):
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Drop the parts after the checkpoint and open the next."""
+        """Delete the parts written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
                 warnings.warn(f"'{self.path}': is missing; the recording begins anew", stacklevel=2)
@@ -117,19 +118,19 @@ class RerunRecorder(Recorder):
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        if not self.live:  # a viewer that is opened now has been told nothing yet
+        if not self.live:  # A newly opened viewer needs the positions of all bars again.
             self._places = dict(state["places"])
         if self.live:
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Return what the next part goes on from."""
+        """Return the state from which the next part continues."""
         self._later.wait()
         following = self._parts + (self.path is not None)
         return {"recording_id": self._id, "parts": following, "places": self._places}
 
     def write(self, simulation: Simulation) -> None:
-        """Close the part and open the next."""
+        """Close the current part and open the next one."""
         if self.path is not None:
             self._flush()
             self._parts += 1
@@ -139,7 +140,7 @@ class RerunRecorder(Recorder):
                 raise self._trouble(error) from error
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Curves at one row."""
+        """Record the curves' values of one row."""
         assert self._display is not None
         time, steps = simulation.sampled
         values = {
@@ -155,10 +156,10 @@ class RerunRecorder(Recorder):
         self._later.do(log)
 
     def frame(self, simulation: Simulation) -> None:
-        """Bodies, moving walls and, if asked for, the network."""
+        """Record bodies, moving walls and, if selected, the network."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # which takes ten times as long to draw as a frame
+        if self._legend_due:  # Drawing the legend takes ten times as long as a frame.
             self._legend_due = False
             self._later.do(self._log_legend)
 
@@ -184,7 +185,7 @@ class RerunRecorder(Recorder):
             self._draw_profile(profile)
 
     def _draw_paint(self, display: Display) -> None:
-        """Values on painted walls, as places in a texture of all colours."""
+        """Record the values of painted walls, as coordinates in a texture that holds all colours."""
         paint = display.paint()
         if paint is None:
             return
@@ -203,7 +204,10 @@ class RerunRecorder(Recorder):
             self._log_scale(paint, painted)
 
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
-        """The texture and the legend, for all frames: of what is static, the viewer takes what was logged last."""
+        """Record the texture of all colours and the legend, for all frames.
+
+        The viewer uses the last version of static data, so that earlier frames follow a new scale too.
+        """
         rr = self._rr
         from rerun.components import ImageFormat
 
@@ -216,7 +220,7 @@ class RerunRecorder(Recorder):
             self._log(PAINT_LEGEND, rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
 
     def _draw_profile(self, profile: Profile) -> None:
-        """Curves as bars, side by side: the viewer has no other axes than those of time."""
+        """Record curves as bars side by side, because the viewer has no plots over axes other than time."""
         found = [(curve, *curve.read()) for curve in profile.curves]
         for number, (curve, places, values) in enumerate(found):
             if len(places):
@@ -225,15 +229,19 @@ class RerunRecorder(Recorder):
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
-                if not np.array_equal(self._places.get(path, ()), middle):  # to convert them takes longest
+                # Converting the positions takes most of the time, so send them only when they have changed.
+                if not np.array_equal(self._places.get(path, ()), middle):
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
                                "color": curve.colour}  # fmt: skip
                 self._log(path, self._rr.BarChart.from_fields(**fields))
 
     def _bars(self, values: np.ndarray) -> Any:
-        """Heights of bars as Rerun has them, a tensor: it takes ten times as long to convert them, so those of so many
-        are converted once, and others get what is theirs in that."""
+        """Return heights of bars as a tensor of Rerun's.
+
+        A new tensor takes ten times as long to convert as a changed one. Therefore one tensor is kept for each number
+        of bars, and only its values are replaced.
+        """
         from rerun.components import TensorDataBatch
 
         like = self._tensors.get(len(values))
@@ -242,7 +250,7 @@ class RerunRecorder(Recorder):
         return with_values(like, values)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Flush and close."""
+        """Flush the recording and close it."""
         if self._recording is not None:
             watched = bool(self.live)
             try:
@@ -251,17 +259,17 @@ class RerunRecorder(Recorder):
             except BaseException:
                 self._disconnect(LOOK)
                 raise
-            # Rerun looks for a viewer that has gone before it closes the file.
+            # Rerun waits for a viewer that has gone before it closes the file.
             if not self._disconnect(GOODBYE if watched and not self.live else PATIENCE):
                 raise self._trouble(RuntimeError("the writer does not end"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
-        """Make one file of the parts."""
+        """Join the parts of the recording into one file."""
         if self.path is not None and self._parts > 0:
             join([self._part(number) for number in range(self._parts + 1)], self.path)
 
     def _describe(self, display: Display) -> None:
-        """Everything that does not change."""
+        """Record all data that does not change."""
         rr = self._rr
         self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
@@ -289,7 +297,7 @@ class RerunRecorder(Recorder):
             raise self._trouble(error) from error
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
-        """One point in every plot, so that its axis begins at zero."""
+        """Record one point in every plot, so that its axis begins at zero."""
         self._set_time(time, steps)
         for plot in display.plots():
             self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[AXIS], names="zero"), static=True)
@@ -302,7 +310,7 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
-        """Of what this thread logs."""
+        """Set the time and the step of what this thread records next."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
@@ -311,7 +319,7 @@ class RerunRecorder(Recorder):
         with_legend = display.scale() is not None or bool(display.things())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    # Sinks and the parts of the file.
+    # The following methods manage the sinks and the parts of the file.
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
@@ -323,8 +331,8 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # of bars, by their number
-        self._places: dict[str, np.ndarray] = {}  # of bars, by their path, as they were logged last
+        self._tensors: dict[int, Any] = {}  # Tensors of bars, by the number of bars.
+        self._places: dict[str, np.ndarray] = {}  # Last recorded positions of bars, by path.
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
             opened.start()
@@ -339,7 +347,7 @@ class RerunRecorder(Recorder):
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def _flush(self) -> None:
-        """Wait until the file, and a viewer, have everything."""
+        """Wait until the file and the viewer have received all data."""
         size, since = -1, time.monotonic()
         while True:
             try:
@@ -347,8 +355,8 @@ class RerunRecorder(Recorder):
                 return
             except (RuntimeError, ValueError) as error:
                 trouble = error
-                time.sleep(0.05)  # a writer that has died answers at once
-            # A writer that met a full disk may never answer; one that is slow lets its file grow.
+                time.sleep(0.05)  # A writer that has died answers at once.
+            # After a full disk, the writer may never answer; a slow writer can be recognised by the growing file.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
                 if size != before:
@@ -357,12 +365,15 @@ class RerunRecorder(Recorder):
                 break
         if not self.live:
             raise self._trouble(trouble) from trouble
-        # A viewer that is not there must not hold up the run; the file has everything.
+        # A viewer that has gone must not stop the run, because the file has all data.
         warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
         self.live = False
 
     def _disconnect(self, patience: float) -> bool:
-        """Close, but do not wait long for a writer that never answers, here or when the program ends."""
+        """Close the recording, and return whether the writer answered within `patience` [s].
+
+        A writer that never answers must not block the end of the program either.
+        """
         closing = threading.Thread(target=self._recording.disconnect, daemon=True)
         closing.start()
         closing.join(patience)

@@ -1,4 +1,4 @@
-"""The folder that a run fills: scene.json, series.csv, result.json, and what other recorders write."""
+"""Recorder of the run folder: scene.json, series.csv and result.json."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .loading import is_finished
 
 
 def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return what scene.json holds: the scene function's name, every argument, and how the run was set up.
+    """Return the contents of scene.json: the scene function's name, all arguments, and the settings of the run.
 
-    A scene that its function did not make like this, because it was changed afterwards or built by hand, is recorded
-    with the fields in question under `modified`; nothing repeats such a record.
+    If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
+    question are stored under `modified`; such a run cannot be repeated from its record.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
@@ -40,12 +40,12 @@ def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) 
 
 
 class TableRecorder(Recorder):
-    """Make the folder and hold it; write scene.json at the start, series.csv row by row, result.json at checkpoints
-    and at the end.
+    """Recorder that creates the run folder and writes the tables into it.
 
-    Rows are flushed as they come, so an interrupted or killed run keeps all that it sampled. `command` are settings
-    to keep in scene.json for a resumed run. With `going_on` the folder is that of the same run, which was cut; with
-    `again` it must hold the record of this very run.
+    It writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints and at the end.
+    Every row is flushed at once, so that an interrupted or killed run keeps all its samples. `command` holds settings
+    that are stored in scene.json for a resumed run. With `going_on`, the folder is that of the same, interrupted run.
+    With `again`, an existing folder must hold the record of exactly this run.
     """
 
     rows_alone = True
@@ -55,7 +55,7 @@ class TableRecorder(Recorder):
     ) -> None:
         self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
         self._hold: Hold | None = None
-        self._is_new = False  # folder: it held nothing before
+        self._is_new = False  # True if this recorder created the folder.
         self._file: TextIO | None = None
         self._writer: Any = None
 
@@ -64,14 +64,14 @@ class TableRecorder(Recorder):
         return self.folder / "series.csv"
 
     def claim(self, simulation: Simulation) -> None:
-        """Make the folder with scene.json, or take over that of the run that was cut; hold it."""
+        """Create the folder with scene.json, or take over the folder of an interrupted run, and lock the folder."""
         if self._hold is not None:
             return
         record = scene_record(simulation, self.command)
         path = self.folder / "scene.json"
         if (self.going_on or simulation.goes_on) and path.is_file():
             self._hold = Hold(self.folder)
-            # What another run did until now counts.
+            # Check only after locking the folder: another process may have finished the run in the meantime.
             if is_finished(self.folder):
                 raise RunFolderError(
                     f"out = '{self.folder}': exists already, and that run is finished; choose a new folder (runs are "
@@ -87,7 +87,7 @@ class TableRecorder(Recorder):
         write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
-        """Remove the folder if it is new and holds no state that the run could go on from."""
+        """Remove the folder if it is new and holds no checkpoint."""
         if self._hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
@@ -95,7 +95,7 @@ class TableRecorder(Recorder):
         self.close(simulation)
 
     def start(self, simulation: Simulation) -> None:
-        """Begin series.csv, in the folder made by `claim`."""
+        """Open series.csv in the folder created by `claim`."""
         self.claim(simulation)
         self._file = self._opened("w")
 
@@ -106,7 +106,7 @@ class TableRecorder(Recorder):
             raise cannot_write(self._series, error) from error
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Write series.csv as it was at the checkpoint, which holds every row."""
+        """Rewrite series.csv with the rows of the checkpoint."""
         self.claim(simulation)
         with whole_file(self._series) as partial:
             self._file = partial.open("w", newline="", encoding="utf-8")
@@ -118,7 +118,7 @@ class TableRecorder(Recorder):
             self._writer = csv.writer(self._file)
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Append a row; the header names each column's unit."""
+        """Append a row to series.csv; the header states the unit of each column."""
         assert self._file is not None
         try:
             self._write(simulation, row)
@@ -133,11 +133,11 @@ class TableRecorder(Recorder):
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
 
     def write(self, simulation: Simulation) -> None:
-        """Write result.json of an unfinished run; rows are on disk already."""
+        """Write result.json of an unfinished run; the rows are already on disk."""
         write_json(self.folder / "result.json", simulation.result(False).result)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write result.json and close series.csv."""
+        """Write result.json and the tables, and close series.csv."""
         if self._file is None:
             return
         run.folder = self.folder
@@ -152,14 +152,14 @@ class TableRecorder(Recorder):
             _write_table(self.folder / f"{name}.csv", table)
 
     def close(self, simulation: Simulation) -> None:
-        """Let others have the folder."""
+        """Release the lock on the folder."""
         if self._hold is not None:
             self._hold.release()
             self._hold = None
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Refuse the scene.json of another run than that of `record`."""
+    """Refuse a scene.json that belongs to a run other than that of `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:
@@ -170,7 +170,7 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
 
 
 def _write_table(path: Path, table: Table) -> None:
-    """A table as series.csv has its rows."""
+    """Write a table in the format of series.csv."""
     with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{table.units[name]}]" for name in table.columns])

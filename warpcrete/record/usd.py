@@ -1,10 +1,10 @@
-"""The run as a USD scene: bodies with time samples, walls, materials, light, a camera.
+"""Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
-Rigid bodies are one point instancer with a prototype for each shape, particles are points.
+Rigid bodies are one point instancer with a prototype for each shape; fluid particles are points.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# (the pxr modules fill themselves when they load)
+# The pxr modules add their attributes when they are imported.
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ..core.later import Later
 from ..core.run_loop import Recorder, Run, Simulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
-FRAMES_PER_SECOND = 1000  # time codes are milliseconds of simulated time
+FRAMES_PER_SECOND = 1000  # Time codes are milliseconds of simulated time.
 
 
 class UsdRecorder(Recorder):
-    """Writes scene.usdc at checkpoints and when the run ends, also after an interruption. Z up, metres.
+    """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
-    With `velocities` the file has those of rigid bodies, by which renderers blur what moves, and is half as large
-    again.
+    The file is also written when a run is interrupted. With `velocities`, the file includes the velocities of rigid
+    bodies, which renderers need for motion blur, and is half as large again.
     """
 
     draws_alone = True
@@ -41,13 +41,13 @@ class UsdRecorder(Recorder):
         self._last: float | None = None
 
     def start(self, simulation: Simulation) -> None:
-        """Stage, prototypes, walls and camera."""
+        """Create the stage, prototypes, walls and camera."""
         from pxr import Usd
 
         self._build(simulation, Usd.Stage.CreateInMemory())
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Open the file of the checkpoint and take out what came after it."""
+        """Open the file of the checkpoint and remove all time samples after the checkpoint."""
         from pxr import Sdf, Tf, Usd
 
         try:
@@ -68,7 +68,7 @@ class UsdRecorder(Recorder):
         self._build(simulation, Usd.Stage.Open(layer))
 
     def _build(self, simulation: Simulation, stage: Any) -> None:
-        """Everything that does not change; on a stage that has it already, the same again."""
+        """Define everything that does not change; on a stage that has these objects already, nothing changes."""
         from pxr import UsdGeom
 
         self._stage, self._later = stage, Later.of(simulation)
@@ -134,7 +134,7 @@ class UsdRecorder(Recorder):
         camera.CreateFocusDistanceAttr(distance)
 
     def frame(self, simulation: Simulation) -> None:
-        """One time sample of all bodies and moving walls."""
+        """Record one time sample of all bodies and moving walls."""
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
@@ -165,16 +165,16 @@ class UsdRecorder(Recorder):
         if self._stage is not None:
             try:
                 self._later.close()
-            finally:  # what there is
+            finally:  # Write what is there even if a job failed.
                 self._write()
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Return the times of the first and the last frame."""
+        """Return the time codes of the first and the last frame."""
         self._later.wait()
         return {"first": self._first, "last": self._last}
 
     def write(self, simulation: Simulation) -> None:
-        """Write the file as it is so far."""
+        """Write the file with all frames so far."""
         self._write()
 
     def _write(self) -> None:
@@ -201,7 +201,7 @@ class _Instances:
 
         self._instancer = instancer = UsdGeom.PointInstancer.Define(stage, path)
         shapes = []
-        # How a ball has turned is not seen.
+        # The rotation of a single sphere about its centre is not visible.
         self._turn = any(len(prototype.radii) > 1 or np.any(prototype.offsets) for prototype in rigid.prototypes)
         self._velocities = velocities
         look = bodies_look(stage)
@@ -235,7 +235,8 @@ class _Instances:
         position = pose.positions.astype(np.float32)
         self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
         if self._turn:
-            # USD stores quaternions in half precision, real part last in memory as here.
+            # USD stores quaternions in half precision. In memory, the real part is last, in the order x, y, z, w used
+            # here.
             orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
             self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
         if self._velocities:
@@ -248,7 +249,7 @@ class _Instances:
 
 
 class _Points:
-    """Particles as points."""
+    """Fluid particles as points."""
 
     def __init__(self, stage: Any, path: str, display: Display) -> None:
         from pxr import UsdGeom, Vt
@@ -271,8 +272,8 @@ class _Points:
 
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Lowest and highest corner of bodies."""
-    x = np.ascontiguousarray(places.T)  # of columns side by side the smallest takes a tenth of the time
+    """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3)."""
+    x = np.ascontiguousarray(places.T)  # The minimum of contiguous rows takes a tenth of the time.
     return np.stack([(x - reach).min(1), (x + reach).max(1)]).astype(np.float32)
 
 

@@ -1,7 +1,7 @@
-"""Materials, light and words of a USD scene: what a renderer shows it by."""
+"""Materials, light and documentation of a USD scene."""
 
 # pyright: reportAttributeAccessIssue=false
-# (the pxr modules fill themselves when they load)
+# The pxr modules add their attributes when they are imported.
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from .legend import meaning, paint_meaning
 
 LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
-"""Opacity of glass, at least, and of what has colours of its own, as wear."""
+"""Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the light from one side, whatever the size of its disc, and of that from all around."""
+"""Intensities of the directional light, independent of the size of its disc, and of the light from all directions."""
 SUN_ANGLE = 4.0
-"""Of its disc [degrees]: soft edges of shadows."""
+"""Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 
 
 def linear(colours: np.ndarray) -> np.ndarray:
-    """Bytes of screen colours as light, 0 to 1, as USD has colours (IEC 61966-2-1, sRGB)."""
+    """Return sRGB bytes as linear colours from 0 to 1, which USD requires (IEC 61966-2-1)."""
     c = np.asarray(colours, float) / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def describe(stage: Any, display: Display, scene: Any) -> None:
-    """Title, units and the meaning of the colours, on the file and on what they belong to."""
+    """Write title, units and the meaning of the colours into the file and its root prim."""
     words = (
         f"warpcrete: scene {scene.name}, {display.noun} by {display.colouring}. Metres, Z up; time codes are "
         f"milliseconds of simulated time. {meaning(display)}"
@@ -41,7 +41,7 @@ def describe(stage: Any, display: Display, scene: Any) -> None:
 
 
 def light(stage: Any, display: Display) -> None:
-    """Sky, and a sun over the shoulder of who looks."""
+    """Add a sky light and a sun that shines over the viewer's shoulder."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, "/Run/Lights")
@@ -62,7 +62,7 @@ def light(stage: Any, display: Display) -> None:
 
 
 def bodies_look(stage: Any) -> Any:
-    """Material that takes its colour from `displayColor`."""
+    """Return a material that takes its colour from `displayColor`."""
     from pxr import Sdf
 
     material, surface = _material(stage, "Bodies")
@@ -84,8 +84,10 @@ def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
 
 
 def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
-    """Material of a wall, its colour as light and its opacity: glass where it is seen through, metal where it moves,
-    `displayColor` where it is `painted`.
+    """Return the material of a wall, its linear colour and its opacity.
+
+    Transparent walls look like glass and moving walls like metal. A `painted` wall takes its colours from
+    `displayColor`.
     """
     from pxr import Gf, Sdf
 
@@ -105,7 +107,7 @@ def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> 
 
 
 def bind(prim: Any, material: Any) -> None:
-    """Have a prim, and all below it, look so."""
+    """Assign a material to a prim and everything below it."""
     from pxr import UsdShade
 
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
@@ -124,17 +126,20 @@ def _material(stage: Any, name: str) -> tuple[Any, Any]:
 
 
 class Colours:
-    """Colours of bodies over time, as numbers in a list of those that there are: a byte or two each in the file."""
+    """Colours of bodies over time, as indices into a table of all colours.
+
+    The indices take one or two bytes each in the file.
+    """
 
     def __init__(self, primvar: Any) -> None:
         self._primvar = primvar
-        known = primvar.Get()  # of a file that is gone on with
+        known = primvar.Get()  # Colour table of a file that is continued.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        self._known: dict[int, int] = {}  # those of them that came up here, by their bytes as one number
+        self._known: dict[int, int] = {}  # Indices of the colours used so far, by their packed RGB bytes.
 
     def set(self, colours: np.ndarray, code: Any) -> None:
-        """RGB bytes (n, 3) at a time code."""
+        """Set the colours of all bodies, RGB bytes (n, 3), at a time code."""
         from pxr import Vt
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
@@ -155,7 +160,10 @@ class Colours:
 
 
 class Painted:
-    """A wall's colours over time: steps of the values, of which a list has the colours on the scale of all frames."""
+    """Colours of a painted wall over time, as steps of its values.
+
+    A table, common to all frames, holds the colour of each step.
+    """
 
     def __init__(self, mesh: Any) -> None:
         from pxr import UsdGeom
@@ -165,7 +173,7 @@ class Painted:
         self._paint: Paint | None = None
 
     def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
-        """Values of the vertices (v,), as read, at a time code."""
+        """Set the values of the vertices, shape (v,), in the paint's unit, at a time code."""
         from pxr import Vt
 
         if paint != self._paint:
