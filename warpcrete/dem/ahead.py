@@ -1,7 +1,8 @@
 """Decide how many time steps the host launches before it reads a batch's flags again.
 
-A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs attention
-halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never results.
+A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
+attention halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never
+results.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ BATCH_LAUNCH = 40
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
 
-On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU threads
-get longer graphs, because they lose time when they meet again between two graphs.
+On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
+threads get longer graphs, because they lose time when they meet again between two graphs.
 """
 OLD = 256
 """Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
@@ -84,8 +85,8 @@ class Ahead:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
-        `among` whose lists will soon be stale are included: waiting for a separate rebuild would cost a scene about as
-        much time. `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
+        `among` whose lists will soon be stale are included: a launch takes almost as long when one of its scenes waits.
+        `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NOBODY
@@ -118,8 +119,8 @@ class Ahead:
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Return the numbers of steps to launch, one for each piece of the next launch.
 
-        After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the lists
-        that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
+        After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
+        lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
         """
         # Plain Python numbers are ten times as fast as NumPy for one scene, and the GPU idles during this calculation.
         untils, intervals, slots, clocks = (

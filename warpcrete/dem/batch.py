@@ -2,8 +2,8 @@
 
 The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
 lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
-goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued, and
-a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time: see
+goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time: see
 `regrouping`.
 """
 
@@ -41,9 +41,10 @@ from .state import State
 from .subcycling import Subcycles
 
 PER_THREAD = 500
-"""Minimum number of spheres for each CPU thread; with fewer spheres, waiting at barriers costs more than a thread gains.
+"""Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
 
-In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for 500.
+In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
+500.
 """
 
 
@@ -205,7 +206,7 @@ class Batch(JointArrays):
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
-        """Return the present values of the walls of scene `s`: one row a wall, columns as in `kernels/dem/probes.py`."""
+        """Return the present values of the walls of scene `s`, shape (walls, WALL_COLUMNS)."""
         if self._walls is None:
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
@@ -305,7 +306,8 @@ class Batch(JointArrays):
     def sync_stages(self) -> list[Stage]:
         """Return the stages that copy the motion of single spheres to their bodies.
 
-        Steps move only the spheres where every body is a single sphere, because that is faster. Clumps need no such stage.
+        Steps move only the spheres where every body is a single sphere, because that is faster. Clumps need no such
+        stage.
         """
         if self.features.clumps or not self.sphere_count:
             return []

@@ -33,10 +33,10 @@ def run_batch(
 ) -> list[Outcome]:
     """Run simulations on one device, in parallel where they share features and fit into its memory.
 
-    Returns one entry for each simulation: its :class:`Run`, or the error that ended it. The failure of a simulation does
-    not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or None. After Ctrl-C
-    unfinished runs are returned as they are, and simulations that had not begun return `KeyboardInterrupt`. `progress` is
-    called with the name of a phase and the fraction completed.
+    Returns one entry for each simulation: its :class:`Run`, or the error that ended it. The failure of a simulation
+    does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or None. After
+    Ctrl-C unfinished runs are returned as they are, and simulations that had not begun return `KeyboardInterrupt`.
+    `progress` is called with the name of a phase and the fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -162,7 +162,7 @@ class _Part:
                 member.release()
 
     def _restore_or_place(self, number: int) -> bool:
-        """Restore or create the state of simulation `number`; return False if that failed, with the error as its outcome."""
+        """Restore or create the state of simulation `number`; return False if that failed, and store the error."""
         simulation, path = self.simulations[number], self.checkpoints[number]
         try:
             if path is not None:
@@ -229,7 +229,7 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 def _fitting(
     simulations: Sequence[ElementSimulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
-    """Split the simulations `numbers` into batches that fit into the device's memory, and return their needs [B] too."""
+    """Split simulations into batches that fit the device's memory; return indices and memory [B] of each batch."""
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
         return [([number], 0.0) for number in numbers]  # on a CPU each simulation runs alone and uses all threads
