@@ -42,7 +42,7 @@ class ClumpTemplate:
         return float(widths.max() / widths.min())
 
     def scaled(self, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return sphere centres [m], shape (k, 3), and radii [m], shape (k,), of a body of `size` [m] in its own frame."""
+        """Return sphere centres, shape (k, 3), and radii, shape (k,), of a body of `size` [m] in its own frame [m]."""
         return self.offsets * size, self.radii * size
 
 
