@@ -40,7 +40,7 @@ Lists that became stale are expected to last `SOONER` times as many steps next t
 factor `LATER` when lists were still valid at its end.
 """
 ALONG = 0.6
-"""Fraction of their expected lifetime after which lists are rebuilt together with those of another scene."""
+"""Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
 NOBODY = np.zeros(0, dtype=np.int64)
 WAIT = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
@@ -56,10 +56,10 @@ class Ahead:
 
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
-        # Number of completed steps when each scene's lists were built, and the expected lifetime of the lists in steps.
+        # Step count at which the lists of each scene were built, and their expected lifetime in steps.
         self._built = np.zeros(scenes, dtype=np.int64)
         self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # False for lists of unknown age, which say nothing about the lifetime of lists.
+        # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
         self._whole = np.ones(scenes, dtype=bool)
         self._since_captured = 0
         self.rebuilds_itself = False
@@ -69,11 +69,11 @@ class Ahead:
         """
 
     def stepped(self, launched: int) -> None:
-        """Count `launched` steps as launched since the graphs were recorded last."""
+        """Add `launched` steps to the count of steps since graphs were last recorded."""
         self._since_captured += launched
 
     def captured(self) -> None:
-        """Restart the count of steps since graphs were recorded."""
+        """Reset the count of steps since graphs were last recorded."""
         self._since_captured = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
@@ -108,7 +108,7 @@ class Ahead:
         return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
 
     def joined(self, s: int, steps: int) -> None:
-        """Note that scene `s` joined after `steps` completed steps with lists of unknown age."""
+        """Note that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
         self._built[s], self._whole[s] = steps, False
 
     def built(self, flags: np.ndarray) -> None:
@@ -117,12 +117,13 @@ class Ahead:
         self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
 
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
-        """Return the numbers of steps to launch, one for each piece of the next launch.
+        """Divide the next launch into pieces and return the number of steps of each piece.
 
         After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
         lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
         """
-        # Plain Python numbers are ten times as fast as NumPy for one scene, and the GPU idles during this calculation.
+        # Convert to plain Python numbers: for one scene they are ten times as fast as NumPy, and the GPU idles
+        # meanwhile.
         untils, intervals, slots, clocks = (
             rows["until"].tolist(),
             rows["interval"].tolist(),
@@ -144,8 +145,8 @@ class Ahead:
         piece = min(intervals[s] for s in running)
         lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
         if self.scenes > 1:
-            # Scenes that had to wait are out of step with the others. The first piece lasts until the last scene needs
-            # its estimate; scenes that need theirs earlier halt and wait.
+            # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
+            # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, lists)

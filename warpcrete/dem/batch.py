@@ -94,8 +94,6 @@ class Batch(JointArrays):
         self._sync: Stage | None = None
         self.split()
 
-    # The next method divides the bodies between the threads of a CPU.
-
     def split(self) -> None:
         """Divide bodies and spheres into one chunk for each CPU thread, following the present order of the bodies."""
         before = self._chunks
@@ -117,15 +115,14 @@ class Batch(JointArrays):
         if self._chunks != before:
             self.invalidate_graphs()
 
-    # The following methods record and launch kernels and exchange flags with the device.
-
     def stage(
         self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
         block: int | None = None, **named: Any,
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks.
 
-        Kernel parameters that are missing in `named` are taken from the batch's attributes of the same name.
+        `named` gives arguments by the kernel's parameter names; missing ones are the batch's attributes of the same
+        name. `beside`, `meets`, `every` and `block` have the meaning described in :class:`Stage`.
         """
         for name in parameter_names(kernel):
             if name not in named:
@@ -183,14 +180,14 @@ class Batch(JointArrays):
         self._unsent = True
 
     def host_flags(self) -> np.ndarray:
-        """Return the control flags of all scenes; the next launch sends changes of this array to the device."""
+        """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
         if self._flags is None:
             self._look()
         assert self._flags is not None
         return self._flags
 
     def host_clock(self) -> np.ndarray:
-        """Return a read-only copy of the clocks of all scenes, up to date with the device."""
+        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
         if self._clock is None:
             self._look()
         assert self._clock is not None
@@ -252,7 +249,7 @@ class Batch(JointArrays):
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         self.device_changed()
-        rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all sub-cycling rounds in one kernel
+        rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
         largest = self.ahead.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
@@ -263,7 +260,8 @@ class Batch(JointArrays):
 
         try:
             for count in pieces:
-                # A GPU gets one graph from one estimate to the next, which includes the estimate, to save launches.
+                # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
+                # launches.
                 whole = self.parallel and count in (interval, WAIT) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 behind = between if whole and self.device.is_cuda else None
@@ -277,7 +275,7 @@ class Batch(JointArrays):
         self.exchange.ask(self.flags, self.scenes.clock)
 
     def rebuild(self) -> None:
-        """Rebuild the lists now with the launch that a GPU otherwise uses between steps."""
+        """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
         assert self._rebuild is not None
         self.outdate(range(self.count))
         self.device_changed()
@@ -306,8 +304,8 @@ class Batch(JointArrays):
     def sync_stages(self) -> list[Stage]:
         """Return the stages that copy the motion of single spheres to their bodies.
 
-        Steps move only the spheres where every body is a single sphere, because that is faster. Clumps need no such
-        stage.
+        If every body is a single sphere, steps move only the spheres, because that is faster. Scenes with clumps need
+        no such stage.
         """
         if self.features.clumps or not self.sphere_count:
             return []

@@ -91,7 +91,7 @@ def _run_batch(
             break
         if done + 1 < len(turns):
             for part in members:
-                part.release()  # the next batches need the memory
+                part.release()  # the batches of the next turn need the memory
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 

@@ -76,15 +76,14 @@ class BlockageWatch:
         self._standing = None if state["standing"] is None else float(state["standing"])
 
     def is_due(self, travel: float) -> bool:
-        """Return whether a check is due at this piston travel [m]."""
+        """Return whether a check is due at the piston travel `travel` [m]."""
         return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
 
     @property
     def may_wait(self) -> bool:
-        """Whether a started check may be completed after the run has continued.
+        """Whether a check may read positions now and be completed after the run has continued.
 
-        This is so if no part stood still at the previous check, because then the present check cannot report a
-        blockage.
+        This is safe if no part stood still at the previous check, because the check then cannot report a blockage.
         """
         return self._standing is None and self._numbers is not None
 

@@ -33,7 +33,7 @@ and at that stand, and, at the blockage, the solid fraction and the number of fo
 
 
 def blocked_words(run: Any) -> str:
-    """Return a sentence part that says where and why the pipe of `run` was blocked."""
+    """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
     found = {name: number(run.result[f"blocked_{name}"]) for name in
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
     spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"

@@ -62,7 +62,7 @@ def bond_rows(bond: np.ndarray) -> np.ndarray:
 
 
 def _kinds(state: State) -> np.ndarray:
-    """Return the bond kind, or 0 or below for no bond, of every listed pair, each pair once."""
+    """Return the bond kind of every listed pair, each pair once; values of 0 and below mean no bond."""
     return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
 
 

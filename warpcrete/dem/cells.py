@@ -15,7 +15,7 @@ from ..kernels.dem.grid import grid_kernels, grid_struct
 LOOKED_AT = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST = 1e6
-"""Distance from the middle of a scene, in cell widths, to which more distant spheres are clipped."""
+"""Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
 AMONG = 0.1
 """Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
 CELLS = 8
@@ -33,7 +33,7 @@ class Cells:
     """
 
     shift: wp.array
-    """Translation of each scene from its own position to its block of cells [m], shape (scenes,)."""
+    """Displacement from each scene's own position to its block of cells [m], shape (scenes,)."""
     grid: Any
     """Device arrays of the grid, a struct `Grid`."""
     made: int
@@ -63,9 +63,10 @@ class Cells:
         self.made += 1
 
     def width(self) -> float:
-        """Return the width of a cell [m], chosen for spheres of mean radius.
+        """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
 
-        The few large spheres search through more than the adjacent cells.
+        The largest value of all scenes counts. The few spheres larger than the mean search more than the adjacent
+        cells.
         """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0

@@ -27,8 +27,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     """Return the parameters of discrete elements that the concrete named in `values` implies.
 
     `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete.
-    Returns nothing if `values` already sets all of them, as the record of a run does. Raises :class:`SceneError` for a
-    concrete that does not exist or that sets other parameters.
+    Returns an empty dictionary if `values` already sets all of them, as the record of a run does. Raises
+    :class:`SceneError` for a concrete that does not exist or that sets other parameters.
     """
     name = values.get("concrete", default)
     name = str(name) if isinstance(name, os.PathLike) else name

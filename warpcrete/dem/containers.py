@@ -33,9 +33,10 @@ class PipeContainer:
     """First part of a pipe with a given `length` along the axis, closed by a plane at either end.
 
     If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
-    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the
-    varying radius along the axis, in proportion to which the initial positions are distributed. If the cross-section is
-    not round, `clear` gives the radii of the free circles about the axis instead.
+    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
+    as a function of arc length where it varies, so that aggregates start evenly distributed over the volume. If the
+    cross-section is not round, `clear` gives the largest circles about the axis that lie inside, and aggregates start
+    within them.
     """
 
     axis: Axis

@@ -30,7 +30,7 @@ from .stations import COLUMNS, FINEST, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
-"""Base colour and opacity of worn walls; slightly transparent, so that aggregates remain visible behind them."""
+"""Base colour and opacity of worn walls, red, green, blue and alpha; aggregates remain faintly visible behind them."""
 WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
@@ -192,10 +192,11 @@ class ElementDisplay(Display):
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # before t = 0
+        if sampler is None:  # nothing is sampled before t = 0
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
-            return self.once("stations", lambda: sampler.log.samples[-1])  # rows never change, so this needs no copy
+            # A recorded row never changes, so the display needs no copy of it.
+            return self.once("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
         stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
         probe, travel = simulation.scene.pressure, 0.0
@@ -225,7 +226,7 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks nearest to the two quantiles
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks nearest the quantiles
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Bodies outside the range get weight 0, which is faster than selecting those inside it.
         apart = position - places
@@ -239,7 +240,7 @@ class ElementDisplay(Display):
         return 1e3 * pipe.radius * (np.arange(RINGS)[there] + 0.5) / RINGS, 100 * mean
 
     def walls(self) -> list[DrawnWall]:
-        """Return all walls that can be drawn; infinite planes cannot."""
+        """Return the walls to draw as triangle meshes; infinite planes cannot be drawn."""
         found = []
         for number in self._drawn:
             wall = self.simulation.model.walls[number]
@@ -252,7 +253,7 @@ class ElementDisplay(Display):
 
     def _worn(self, number: int) -> Any:
         """Return the wear record of a wall; None without wear, or for a plane, which has only one patch."""
-        sampler = getattr(self.simulation, "sampler", None)  # the sampler does not exist before t = 0
+        sampler = getattr(self.simulation, "sampler", None)  # there is no sampler before t = 0
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
         return sampler.wear.walls[number]

@@ -33,14 +33,14 @@ from .scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 from .stepper import Stepper
 
-LEAST = 0.1  # minimum fraction of wall time attributed to steps, even if rebuilds seem to take more than the rest
-SPENT = 0.7  # wall time spent on timing steps [s]
-# Maximum number of spheres of the copy on a GPU (True) and on a CPU (False). The time per sphere is constant above it.
+LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
+SPENT = 0.7  # wall time for which steps are timed [s]
+# Maximum number of spheres of the copy, on a GPU (True) or a CPU (False); above it the time per sphere is constant.
 MOST = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two list rebuilds, divided by the skin. The distance is shorter in a bend,
 # because neighbours move relative to each other there, while concrete in a straight pipe moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-SETTLED_BONDS = 1.2  # ratio of the bonds of a settled packing to those of an unsettled one; the tests show 1.2 to 1.3
+SETTLED_BONDS = 1.2  # number of bonds in a settled packing over that in an unsettled one; tests show 1.2 to 1.3
 SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, BESIDES = 2.4, 0.19
@@ -136,7 +136,7 @@ class _Copy:
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # the time includes a pilot packing of equal size
+            taken /= 2  # packing to a pressure includes a trial packing of equal size
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -180,7 +180,7 @@ class _Copy:
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # the first call records graphs, which must not be timed
+        stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, which must not be timed
         rates = []
         while spent < SPENT:
             wp.synchronize_device(self.device)
@@ -189,8 +189,7 @@ class _Copy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # Other programs may have prolonged the timed rebuild, so that it exceeds the time of steps and rebuilds
-            # together.
+            # Other programs may have slowed down the timed rebuild so much that steps would get a negative time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
@@ -237,7 +236,7 @@ class _Copy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            subcycles.set_rounds(stepper.index, 0)  # the other bounds are evaluated without rounds
+            subcycles.set_rounds(stepper.index, 0)  # estimate the other bounds as without sub-cycling
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):
@@ -245,7 +244,7 @@ class _Copy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # hydrated bonds exist in addition to ordinary ones
+                if name == "hydrated bonds":  # keep the ordinary bonds that did not hydrate
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0

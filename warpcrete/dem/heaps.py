@@ -82,7 +82,7 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # The smallest reach of the outermost spheres is a lower bound in every direction, so nearer spheres can be skipped.
+    # The heap extends at least this far in every direction, so spheres that end nearer to the origin can be skipped.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 

@@ -21,7 +21,7 @@ from .links import carry_links, even_pairs, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # maximum number of entries of a list, because indices are 32-bit integers
+MAXIMUM_ENTRIES = 2**31 - 2**20  # maximum length of a list, whose indices are 32-bit integers
 FULL = 0.9
 """Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
 
@@ -36,7 +36,7 @@ class JointArrays:
     flags: wp.array
     """Control flags of all scenes, shape (scenes, FLAGS)."""
     scenes: Any
-    """Clocks and parameters of all scenes, a struct `Scenes` of `kernels/dem/structs.py` like the next six."""
+    """Clocks and parameters of all scenes, a struct of `kernels/dem/structs.py`, as are the next six attributes."""
     bodies: Any
     spheres: Any
     slots: Any
@@ -73,7 +73,7 @@ class JointArrays:
     """Scene index of every entry of `pairs.start`, shape (spheres + scenes,)."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
-        """Join the arrays of all models and states, and allocate separate wall forces for each of `threads` CPU threads."""
+        """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
         model = models[0]
         self.models, self.states = models, states
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
@@ -102,7 +102,7 @@ class JointArrays:
         """Discard recorded launches, because arrays have been replaced."""
 
     def _join_states(self) -> None:
-        """Join the arrays of all states, replace the originals by slices, and allocate the arrays that only a batch has."""
+        """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
         for struct in STRUCTS:
             setattr(self, struct, getattr(self.structs, struct.capitalize())())
         for struct, names in state_fields(self.structs).items():
@@ -213,7 +213,7 @@ class JointArrays:
 
     def set(self, s: int, **numbers: Any) -> None:
         """Change parameters in the row of scene `s`, by the names of `SceneRow`."""
-        if numbers.items() <= self._given[s].items():  # scenes often set unchanged values
+        if numbers.items() <= self._given[s].items():  # scenes often repeat the same settings
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
@@ -239,7 +239,8 @@ class JointArrays:
         if self.features.healing and np.any(wanted > MOST_ROWS):
             raise CapacityError(f"bonds = {wanted.max()} listed pairs that may bond: at most {MOST_ROWS} in one scene")
         before, old = self.links, self.capacity.copy()
-        before.pull = None  # frees most of the old memory; touching links write these rows before they are read
+        # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
+        before.pull = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
         if self.parallel:
@@ -266,10 +267,11 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        if struct == "pairs" and self.features.healing:  # every entry has a row of load, and rows are limited
+        if struct == "pairs" and self.features.healing:  # every entry has a numbered row of load
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU a link, shared by two entries, has up to four rows in `pull`: twice as many indices as entries.
+        # On a GPU, two entries share a link with up to four rows of results, so there are twice as many rows as
+        # entries.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")

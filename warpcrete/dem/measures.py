@@ -31,7 +31,7 @@ UNITS = {
 T500 = 0.5
 """Spread whose time T500 is reported [m] (EN 12350-8)."""
 LIGHT = 0.5
-"""Fraction of a funnel's outlet that aggregates may still cover when light is seen through it, the end of the test."""
+"""Covered fraction of a funnel's outlet below which light counts as seen through it, which ends the test."""
 HEAPS = ("slump", "jring")
 """Tests that end with a heap of concrete on a plate."""
 RESTED = 1.0

@@ -40,7 +40,7 @@ class Features:
     subcycling: bool
     """Whether stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """Whether some bodies have several spheres, or all bodies must be moved like clumps, as sub-cycling requires."""
+    """Whether bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
     rotation: bool
     """Whether bodies rotate; single spheres without friction, shear damping and bonds do not."""
     drives: bool
@@ -50,7 +50,7 @@ class Features:
     """Whether there are planes or pipes among the walls."""
     meshes: bool
     strokes: bool
-    """Whether the motion of some wall is interrupted by stops."""
+    """Whether the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
     """Whether the lubrication layer on the walls gains strength at rest, which slip then wears off."""
     growth: bool
