@@ -81,7 +81,7 @@ class Batch(JointArrays):
         """Version of the recorded launches, incremented whenever arrays or chunks change."""
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
-        """Numbers of the scenes whose chunks no longer match their neighbour lists."""
+        """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
         self.ahead = Ahead(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None

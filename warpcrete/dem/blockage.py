@@ -170,6 +170,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:
         return np.inf
+    # Sort the aggregates along the pipe; the cumulative volume then assigns them to parts of equal volume.
     order = inside[np.argsort(before[inside])]
     rank = np.cumsum(volume[order]) - 0.5 * volume[order]
     parts = max(1, min(PARTS, len(inside) // STONES))
@@ -223,6 +224,7 @@ def spanning(model: Model, state: State, axis: Any, at: float, length: float, ch
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)
     here = np.abs(s - at) < 0.5 * length
+    # A union-find structure joins bodies that are connected by strong contacts to networks.
     parent = np.arange(len(position))
 
     def root(k: int) -> int:
@@ -242,6 +244,7 @@ def spanning(model: Model, state: State, axis: Any, at: float, length: float, ch
     linked = np.zeros(len(position), bool)
     linked[chains.ravel()] = True
     roots = np.array([root(int(b)) for b in body], int)
+    # A network spans the pipe if two of its wall contacts lie on opposite sides of the axis.
     count = 0
     for one in np.unique(roots[linked[body]]):
         mine = angle[(roots == one) & linked[body]]

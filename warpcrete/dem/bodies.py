@@ -60,7 +60,7 @@ class BodyTable:
         return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
 
     def joined(self, other: BodyTable) -> BodyTable:
-        """Return a table with the bodies of this table followed by those of `other`; shapes are shared."""
+        """Return a table with the bodies of this table followed by those of `other`; templates are stored once."""
         templates = list(self.templates)
         for template in other.templates:
             if all(template is not known for known in templates):

@@ -101,6 +101,7 @@ def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.nda
     `low` and `high` are the indices of the bonded spheres, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
+    # A bonded entry that is not a first entry is the second entry of the pair with the same two spheres.
     copies = np.flatnonzero(bond[: len(other)] > 0)
     copies = copies[~np.isin(copies, place)]
     i = np.searchsorted(start, copies, "right") - 1

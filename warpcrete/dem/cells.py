@@ -82,6 +82,7 @@ class Cells:
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
         sizes = high - low + 2  # one empty cell separates a block from the next
+        # The blocks of all scenes follow one another along the axis in which the largest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()
@@ -91,6 +92,7 @@ class Cells:
         most = min(
             max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
         )
+        # Positions wrap around, so halving the longest side keeps the search correct.
         while np.prod(dims, dtype=float) > most:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
         if np.all(dims <= self._dims):

@@ -67,6 +67,7 @@ def union_properties(
     half = np.sqrt(np.maximum(square, 0.0))
     begin = np.where(square > 0, centres[:, 2] - half, np.inf)
     end = np.where(square > 0, centres[:, 2] + half, -np.inf)
+    # Sort the chords of each line and clip each to the end of the chords before it, so that overlaps count once.
     order = np.argsort(begin, axis=1)
     begin, end = np.take_along_axis(begin, order, 1), np.take_along_axis(end, order, 1)
     reached = np.maximum.accumulate(end, axis=1)
@@ -229,6 +230,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"is more than the {len(chosen)} that this mesh needs at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]
+    # Bisection finds the growth of all radii at which the union has the volume of the mesh.
     low, high = 0.0, float(mesh.volume) ** (1 / 3)
     for _ in range(30):
         middle = 0.5 * (low + high)

@@ -315,6 +315,7 @@ class _Copy:
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
     """Repeat the bodies of the first `period` [m] of a pipe along its `axis` up to `length` [m]."""
+    # A body keeps its offset from the axis in the local frame (tangent, normal, binormal), so copies follow bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])

@@ -63,6 +63,7 @@ def main_body(spheres: np.ndarray) -> np.ndarray:
     keys, cell, count = np.unique(place[:, 0] * row + place[:, 1], return_inverse=True, return_counts=True)
     corners = np.stack(np.divmod(keys, row), 1).tolist()
     number = {(a, b): n for n, (a, b) in enumerate(corners)}
+    # A flood fill starts at the cell with the most spheres and visits all occupied cells connected to it.
     first = int(np.argmax(count))
     found, waiting = {first}, [first]
     while waiting:

@@ -89,7 +89,7 @@ class JointArrays:
         self.capacity = np.array([len(s.pairs.other) for s in states])
         """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
-        """Allocated number of each scene's mesh candidates, shape (scenes,)."""
+        """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
         """Allocated number of each scene's bond loads; unused if contacts heal, because then every pair has a load."""
         self._join_states()
@@ -258,7 +258,7 @@ class JointArrays:
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Enlarge the lists of mesh candidates to at least `wanted` entries for each scene."""
+        """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
         self._regrow("candidates", ["face"], self.face_capacity, wanted)
 
     def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:

@@ -51,7 +51,8 @@ def make_links(batch: Any) -> Any:
         for s in range(1, batch.count):
             if first[s] < first[s + 1]:
                 links.scene[first[s] : first[s + 1]].fill_(s)
-        links.outrun.fill_(1)  # the near links have not been selected yet
+        # Mark the near links, the pairs close enough to touch soon, as not selected yet.
+        links.outrun.fill_(1)
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
 
