@@ -1,1 +1,1 @@
-"""Discrete elements: rigid aggregates whose contacts stand for the mortar between them."""
+"""Discrete element method: rigid aggregates whose contacts represent the mortar between them."""

@@ -1,4 +1,9 @@
-"""How many steps are launched before the host looks at a batch again."""
+"""Decide how many time steps the host launches before it reads a batch's flags again.
+
+A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
+attention halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never
+results.
+"""
 
 from __future__ import annotations
 
@@ -12,57 +17,77 @@ from ..kernels.dem.clock import CLOSE
 from ..kernels.dem.structs import DT, TIME
 
 LAUNCH = {"cpu": 64, "cuda": 512}
-"""Steps from one look at Ctrl-C to the next, at most."""
+"""Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
 BATCH_LAUNCH = 40
-"""Steps in flight before scenes that halted are looked after, where there are several."""
+"""Maximum number of steps queued on a GPU for a batch of several scenes before the host attends to halted scenes."""
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
-"""Steps of one graph: on a CPU capturing costs as much as some steps, replaying next to nothing, but threads lose each
-other between two."""
+"""Maximum number of steps in one recorded graph.
+
+On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
+threads get longer graphs, because they lose time when they meet again between two graphs.
+"""
 OLD = 256
-"""Steps after which threads have larger graphs captured: chunks may change before."""
+"""Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
+
+The chunks are often changed soon after the start, which would make recorded graphs useless.
+"""
 NEVER = 2**31 - 1
-"""A count of steps that no scene gets to."""
+"""Step count that no scene ever reaches."""
 SOONER, LATER = 0.95, 1.1
-"""By what factor lists are expected to last less than they did, and, where they were built anew before they were stale,
-longer than was expected."""
+"""Factors that adapt the expected lifetime of neighbour lists.
+
+Lists that became stale are expected to last `SOONER` times as many steps next time. The expected lifetime grows by the
+factor `LATER` when lists were still valid at its end.
+"""
 ALONG = 0.6
-"""Of the steps that a scene's lists last, after which they are built along with those of another."""
+"""Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
 NOBODY = np.zeros(0, dtype=np.int64)
 WAIT = 20
-"""Steps after which a GPU looks whether lists are stale, at most."""
+"""Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
 BRIEF = 8
-"""Steps that lists are expected to last at least."""
+"""Minimum expected lifetime of neighbour lists, in steps."""
 
 
 class Ahead:
-    """Nothing hangs on these numbers but time: scenes halt where they must, and what is in flight passes them by."""
+    """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
+
+    Its choices affect speed only: a scene halts itself where it must, and the kernels in flight skip a halted scene.
+    """
 
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
-        self._built = np.zeros(scenes, dtype=np.int64)  # completed steps when the lists were built
-        self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)  # steps that they are expected to
-        self._whole = np.ones(scenes, dtype=bool)  # not so of lists that were older when they came
+        # Step count at which the lists of each scene were built, and their expected lifetime in steps.
+        self._built = np.zeros(scenes, dtype=np.int64)
+        self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)
+        # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
+        self._whole = np.ones(scenes, dtype=bool)
         self._since_captured = 0
         self.rebuilds_itself = False
-        """A GPU builds the lists of its only scene without the host, but where bodies are to be sorted or there is no
-        room."""
+        """Whether a GPU rebuilds the lists of its only scene without the host.
+
+        The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
+        """
 
     def stepped(self, launched: int) -> None:
-        """So many steps were launched."""
+        """Add `launched` steps to the count of steps since graphs were last recorded."""
         self._since_captured += launched
 
     def captured(self) -> None:
-        """Graphs are made anew."""
+        """Reset the count of steps since graphs were last recorded."""
         self._since_captured = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
-        """Steps of one graph, if each has so many rounds for stiff bonds."""
+        """Return the maximum number of steps in one graph if each step has `rounds` sub-cycling rounds."""
         kind = "cuda" if self.parallel else "threads" if threads > 1 and self._since_captured > OLD else "cpu"
         return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
 
     def due(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
-        """Scenes `among` some, whose lists should be built now: those that are stale and, where there are several on a
-        GPU, those that soon will be. What waits for its lists is passed by, and takes next to no less time."""
+        """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
+
+        These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
+        `among` whose lists will soon be stale are included: a launch takes almost as long when one of its scenes waits.
+        `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
+        """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NOBODY
         steps, stale = flags[:, int(STEPS)], flags[:, int(STALE)] != 0
@@ -70,7 +95,7 @@ class Ahead:
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
-        # Where bodies are to be sorted that says nothing of how long lists last.
+        # A rebuild forced by sorting says nothing about the lifetime of lists.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
         came = chosen & stale & ~early & self._whole
         self._lasting[came] = np.maximum((1.0 if self.scenes == 1 else SOONER) * age[came], BRIEF)
@@ -83,21 +108,22 @@ class Ahead:
         return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
 
     def joined(self, s: int, steps: int) -> None:
-        """Scene `s` comes with lists, who knows how old, having completed so many steps."""
+        """Note that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
         self._built[s], self._whole[s] = steps, False
 
     def built(self, flags: np.ndarray) -> None:
-        """Lists of the scenes that are stale by these flags are new."""
+        """Note that the lists of all scenes marked as stale in `flags` have been rebuilt."""
         stale = flags[:, int(STALE)] != 0
         self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
 
     def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
-        """Steps to be launched, in pieces after which a GPU estimates the stable step of the scenes that must have it,
-        and looks after lists that it builds itself.
+        """Divide the next launch into pieces and return the number of steps of each piece.
 
-        `flags`, `clock` and `rows` are those of all scenes.
+        After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
+        lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
         """
-        # Plain numbers: of one scene NumPy takes ten times as long, while a GPU has nothing to do.
+        # Convert to plain Python numbers: for one scene they are ten times as fast as NumPy, and the GPU idles
+        # meanwhile.
         untils, intervals, slots, clocks = (
             rows["until"].tolist(),
             rows["interval"].tolist(),
@@ -119,14 +145,16 @@ class Ahead:
         piece = min(intervals[s] for s in running)
         lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
         if self.scenes > 1:
-            # Who is not in step with the rest, since it had to wait, comes to its estimate first, and waits for theirs.
+            # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
+            # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, lists)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # A scene that goes stale leaves the rest of what is in flight to idle: expect it when it came last time.
+        # When the lists become stale, the rest of the queued steps is idle. The launch therefore ends where the lists
+        # are expected to become stale, judging by their last lifetime.
         if self.rebuilds_itself:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

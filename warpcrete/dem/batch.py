@@ -1,9 +1,10 @@
-"""A batch: the arrays of one or many scenes joined end to end, and the launches that carry them all forward.
+"""Batch of one or many scenes: their arrays joined end to end, and the kernel launches that advance them together.
 
-Scenes of a batch share kernels and launches and nothing else: each has its own parameters, walls, clock, flags and
-lists. A scene whose lists no longer cover every possible contact, whose goal is reached or which has failed halts
-itself on the device: every kernel passes it by. So no contact is missed however many steps are in flight, and a
-scene alone and in a batch holds the same bits. Finished scenes cost little, but not nothing: see `regrouping`.
+The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
+lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
+goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time: see
+`regrouping`.
 """
 
 from __future__ import annotations
@@ -40,21 +41,25 @@ from .state import State
 from .subcycling import Subcycles
 
 PER_THREAD = 500
-"""Spheres from which on a thread of a CPU is worth its waiting for the others: of a small pipe two threads took two
-thirds to the whole of one's time at a thousand spheres, one and a quarter to twice it at half as many."""
+"""Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
+
+In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
+500.
+"""
 
 
 def batch_key(model: Model) -> tuple:
-    """Scenes with equal keys can share a batch."""
+    """Return a key of the features that kernels depend on; models with equal keys can share a batch."""
     worn = len(model.walls) if model.features.wear else 0
     return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
 
 class Batch(JointArrays):
-    """Scenes with the same features on one device; the arrays of `states[s]` become slices of the joint ones.
+    """Scenes with the same features on one device, with joint arrays of which each scene's arrays are slices.
 
-    `threads` (CPU only, one scene only) splits every stage into as many chunks of neighbouring bodies; fewer where
-    there are few.
+    `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
+    each takes a chunk of neighbouring bodies. A batch of several scenes or of few spheres uses fewer threads. Raises
+    :class:`SceneError` if the scenes need different features.
     """
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
@@ -73,10 +78,10 @@ class Batch(JointArrays):
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
-        """Of the recorded launches: another number means that arrays or chunks have changed."""
+        """Version of the recorded launches, incremented whenever arrays or chunks change."""
         self._chunks: tuple[int, ...] = ()
         self.rechunked: set[int] = set()
-        """Scenes whose chunks are others than those of the lists that they came with, or that they had once."""
+        """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
         self.ahead = Ahead(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
@@ -89,10 +94,8 @@ class Batch(JointArrays):
         self._sync: Stage | None = None
         self.split()
 
-    # Chunks of a CPU's threads.
-
     def split(self) -> None:
-        """Chunks of bodies and spheres that threads own, from the order of the bodies as it is now."""
+        """Divide bodies and spheres into one chunk for each CPU thread, following the present order of the bodies."""
         before = self._chunks
         if self.threads == 1:
             self.body_chunks = np.array([0, self.body_count])
@@ -112,20 +115,22 @@ class Batch(JointArrays):
         if self._chunks != before:
             self.invalidate_graphs()
 
-    # Launching.
-
     def stage(
         self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
         block: int | None = None, **named: Any,
     ) -> Stage:  # fmt: skip
-        """A launch of a kernel; parameters that are not `named` are the batch's attributes of the same names."""
+        """Return a recorded launch of `kernel` over `dim` tasks.
+
+        `named` gives arguments by the kernel's parameter names; missing ones are the batch's attributes of the same
+        name. `beside`, `meets`, `every` and `block` have the meaning described in :class:`Stage`.
+        """
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
         return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, every=every, block=block)
 
     def invalidate_graphs(self) -> None:
-        """Recorded launches hold arrays or chunks that are no more."""
+        """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""
         self._launcher.invalidate_graphs()
         self.ahead.captured()
         self.version += 1
@@ -134,21 +139,24 @@ class Batch(JointArrays):
         self._wall_reading = None
 
     def use_step(self, step: list[list[Any]], rebuild: AtOnce | None, between: AtOnce | None) -> None:
-        """Take the stages of one step, a list for each thread; good until `has_step` says otherwise.
+        """Set the stages of one step, one list for each thread; they stay valid while `has_step` is True.
 
-        `between` launches what a GPU does where scenes have taken as many steps as they may by one estimate, `rebuild`
-        what it does of that where no estimate is due for long.
+        A GPU launches `between` after each piece of steps: it rebuilds lists and estimates stable steps. It launches
+        `rebuild` instead, which rebuilds lists only, when no scene needs estimates.
         """
         self._step, self._rebuild, self._between = step, rebuild, between
 
     @property
     def has_step(self) -> bool:
-        """The stages are those of the arrays and chunks as they are now."""
+        """Whether the stages of a step have been set and still match the arrays and chunks."""
+
         return self._step is not None
 
     def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
-        """Let a scene go on until it has completed so many steps, or has got to a time [s], with an estimate of the
-        stable step every `interval` steps; it is at neither yet."""
+        """Let scene `s` continue until it has completed `steps` steps or has reached the time `until` [s].
+
+        The stable step is estimated every `interval` steps. The scene must not have reached either goal yet.
+        """
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):
             self.rows["until"][s], self.rows["interval"][s] = goal
@@ -159,7 +167,7 @@ class Batch(JointArrays):
         self._unsent = True
 
     def outdate(self, scenes: Sequence[int] | np.ndarray) -> None:
-        """Have scenes wait for new lists."""
+        """Mark the neighbour lists of `scenes` as stale, so that the scenes halt until their lists are rebuilt."""
         flags = self.host_flags()
         for s in scenes:
             flags[s, int(STALE)] = 1
@@ -167,40 +175,41 @@ class Batch(JointArrays):
         self._unsent = True
 
     def estimated(self, s: int, steps: int) -> None:
-        """Note at how many completed steps the stable step of a scene was estimated."""
+        """Note that the stable step of scene `s` was estimated after `steps` completed steps."""
         self.host_flags()[s, int(ESTIMATED)] = steps
         self._unsent = True
 
     def host_flags(self) -> np.ndarray:
-        """All flags as they are on the device; what is changed here goes there with the next launch."""
+        """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
         if self._flags is None:
             self._look()
         assert self._flags is not None
         return self._flags
 
     def host_clock(self) -> np.ndarray:
-        """All clocks as they are on the device, to read."""
+        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
         if self._clock is None:
             self._look()
         assert self._clock is not None
         return self._clock
 
     def _look(self) -> None:
-        """Read flags and clocks; on a CPU they are the arrays themselves, which are always up to date."""
+        """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
-            self._flags = flags if self._flags is None else self._flags  # which may have been changed
+            # Flags that the host already holds may contain changes that have not been sent yet.
+            self._flags = flags if self._flags is None else self._flags
         else:
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
 
     def host_walls(self, s: int) -> np.ndarray:
-        """What is read of the walls of a scene, as they are on the device: columns of `kernels/dem/probes.py`."""
+        """Return the present values of the walls of scene `s`, shape (walls, WALL_COLUMNS)."""
         if self._walls is None:
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
 
     def wall_values(self) -> wp.array:
-        """The same of all walls, on the device: good until the next call."""
+        """Write the values of all walls to `wall_array` on the device; they are valid until the next call."""
         if self._wall_reading is None:
             self._wall_reading = AtOnce([self.wall_stage()], self.device)
         self._wall_reading()
@@ -208,39 +217,39 @@ class Batch(JointArrays):
 
     @cached_property
     def wall_array(self) -> wp.array:
-        """Where they are written, shape (walls, WALL_COLUMNS)."""
+        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
         return wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
 
     def wall_stage(self) -> Stage:
-        """What writes them."""
+        """Return the launch that writes the walls' values to `wall_array`."""
         reading = {"walls": self.walls, "wall_values": self.wall_array}
         return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Rows of a scene among those of all walls."""
+        """Return the rows of `values` that belong to scene `s`; `values` has one row for each wall of the batch."""
         first = int(self.rows["walls"][s])
         return values[first : first + int(self.rows["wall_count"][s])]
 
     def device_changed(self) -> None:
-        """Flags or clocks on the device are, or are about to become, others than those read last."""
+        """Send pending host changes to the device and discard host copies that a launch makes out of date."""
         unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
         if self.parallel and self._unsent:
             assert self._flags is not None
             unsent.append((self.flags, self._flags))
         if unsent:
             self.exchange.write(*unsent)
-        # Not before: an interruption of that must not lose what was to be sent.
+        # The copies are discarded after the write, so that an interrupted write loses no pending changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None
         self._unsent = self._row_unsent = False
 
     def launch(self) -> None:
-        """Launch steps until some scene needs looking after; a GPU takes them while Python goes on."""
+        """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         self.device_changed()
-        rounds = 0 if self.parallel else self.subcycles.rounds  # which a GPU takes in one kernel
+        rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
         largest = self.ahead.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
@@ -251,21 +260,22 @@ class Batch(JointArrays):
 
         try:
             for count in pieces:
-                # From one estimate to the next a GPU takes one graph, the estimate included.
+                # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
+                # launches.
                 whole = self.parallel and count in (interval, WAIT) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 behind = between if whole and self.device.is_cuda else None
                 self._launcher.replay(self._step, self._alone, sizes, ended, behind)
                 if between is not None and behind is None:
                     between()
-        finally:  # an interruption leaves bodies where their spheres are
+        finally:  # the bodies must match their spheres even after an interruption
             for stage in self.sync_stages():
                 stage()
         self.ahead.stepped(sum(pieces))
         self.exchange.ask(self.flags, self.scenes.clock)
 
     def rebuild(self) -> None:
-        """Have a GPU that builds lists by itself build them, as it does between steps."""
+        """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
         assert self._rebuild is not None
         self.outdate(range(self.count))
         self.device_changed()
@@ -274,11 +284,11 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """Whether all that was launched is done."""
+        """Whether the device has finished everything that was launched."""
         return self.exchange.answered
 
     def settle(self) -> np.ndarray:
-        """Wait for what was launched; returns a copy of all flags."""
+        """Wait for the launched steps to finish and return a copy of all flags."""
         if self.parallel:
             self._flags, self._clock = self.exchange.answer()
         return self.host_flags().copy()
@@ -288,11 +298,15 @@ class Batch(JointArrays):
         return by_one_thread(self._step)
 
     def in_parts(self, stages: list[Stage]) -> None:
-        """Launch stages that chunks have apart, each on a thread of its own."""
+        """Launch one stage for each chunk, each on its own CPU thread."""
         self._launcher.apart(stages)
 
     def sync_stages(self) -> list[Stage]:
-        """What brings bodies up to date with their spheres, where every body is one: steps do not."""
+        """Return the stages that copy the motion of single spheres to their bodies.
+
+        If every body is a single sphere, steps move only the spheres, because that is faster. Scenes with clumps need
+        no such stage.
+        """
         if self.features.clumps or not self.sphere_count:
             return []
         self._sync = self._sync or self.stage(sync_kernel(self.scalar), self.sphere_count)

@@ -1,4 +1,4 @@
-"""Many simulations as few batches: those with the same features share every launch."""
+"""Run many simulations in a few batches; simulations with the same features share every kernel launch."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ def run_batch(
     checkpoints: Sequence[Path | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Outcome]:
-    """Run simulations on one device, side by side where they share features and fit its memory.
+    """Run simulations on one device, in parallel where they share features and fit into its memory.
 
-    Returns a :class:`Run`, or the error that ended it, for each. A simulation with a path in `checkpoints` goes on
-    from there. What fails harms no other. After an interruption (Ctrl-C) unfinished runs are returned as such, and
-    `KeyboardInterrupt` for those that had not begun. `progress` is called with a phase and the fraction done.
+    Returns one entry for each simulation: its :class:`Run`, or the error that ended it. The failure of a simulation
+    does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or None. After
+    Ctrl-C unfinished runs are returned as they are, and simulations that had not begun return `KeyboardInterrupt`.
+    `progress` is called with the name of a phase and the fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -90,12 +91,15 @@ def _run_batch(
             break
         if done + 1 < len(turns):
             for part in members:
-                part.release()  # the next ones need the memory
+                part.release()  # the batches of the next turn need the memory
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
 def _share_rounds(parts: Sequence[_Part]) -> None:
-    """Let batches that run at the same time share a GPU's room for blocks that stay."""
+    """Divide a GPU's resident thread blocks between the batches that run at the same time.
+
+    The kernel for sub-cycling rounds waits at barriers inside the kernel, so all its blocks must be resident at once.
+    """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]
     for batch in several:
@@ -103,7 +107,7 @@ def _share_rounds(parts: Sequence[_Part]) -> None:
 
 
 class _Part:
-    """Simulations that share one batch, by their numbers among all."""
+    """Simulations that share one batch, identified by their indices in the list of all simulations."""
 
     def __init__(
         self,
@@ -117,15 +121,15 @@ class _Part:
         self.outcomes = outcomes
         self.resumed: dict[int, dict[str, Any]] = {}
         self.stopped = False
-        """Some run was interrupted."""
+        """Whether some run of this batch was interrupted."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """By number, what :func:`drive` takes to their ends."""
+        """Stepper and coroutine of each running simulation, by its index, as `drive_abreast` needs them."""
         self.stream = stream
-        """Of a GPU while others run beside, else None."""
+        """CUDA stream of this batch while other batches run at the same time, otherwise None."""
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
-        """Make their batch; what is wrong with one is its outcome."""
+        """Create the batch of the simulations `numbers`; an error of a simulation becomes its outcome."""
         with wp.ScopedStream(self.stream):
             self._begin(numbers)
 
@@ -145,20 +149,20 @@ class _Part:
             self.scenes[number] = (stepper, self._whole_run(number))
 
     def end(self, results: dict[int, Outcome]) -> None:
-        """Take what came of them."""
+        """Store the results of the batch and note whether a run was interrupted."""
         self.outcomes |= results
         self.stopped = any(
             isinstance(r, KeyboardInterrupt) or (isinstance(r, Run) and not r.finished) for r in results.values()
         )
 
     def release(self) -> None:
-        """Let go of a GPU's memory."""
+        """Free the GPU memory of this batch."""
         for member in self._members:
             if member.device.is_cuda:
                 member.release()
 
     def _restore_or_place(self, number: int) -> bool:
-        """Give a simulation its state; what is wrong with it is its outcome."""
+        """Restore or create the state of simulation `number`; return False if that failed, and store the error."""
         simulation, path = self.simulations[number], self.checkpoints[number]
         try:
             if path is not None:
@@ -190,13 +194,16 @@ class _Part:
 
 
 def _packing_key(simulation: ElementSimulation) -> tuple:
-    """Simulations with equal keys start from the same packing."""
+    """Return a key of everything that packing depends on; simulations with equal keys share one packing."""
     scene = simulation.scene
     return fingerprint(scene.fill), fingerprint(scene.contact), scene.seed, simulation.precision, str(simulation.device)
 
 
 def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
-    """Every different packing once: what :func:`pack_many` returned for it, and its part of the time it took [s]."""
+    """Compute each distinct packing once.
+
+    Returns, by packing key, the result of :func:`pack_many` and this packing's share of the elapsed time [s].
+    """
     needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
     kinds: dict[tuple, list[tuple]] = {}
     for key, s in needed.items():
@@ -222,10 +229,10 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 def _fitting(
     simulations: Sequence[ElementSimulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
-    """Split into batches of which each alone fits the device's memory, with what each needs of it [B]."""
+    """Split simulations into batches that fit the device's memory; return indices and memory [B] of each batch."""
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
-        return [([number], 0.0) for number in numbers]  # one after the other, each with all threads
+        return [([number], 0.0) for number in numbers]  # on a CPU each simulation runs alone and uses all threads
     room = MEMORY_FRACTION * memory_free(first.device)
     parts: list[tuple[list[int], float]] = []
     for number in numbers:
@@ -243,7 +250,7 @@ def _fitting(
 def _abreast(
     simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
 ) -> list[list[tuple[list[int], float]]]:
-    """Batches that run at the same time: on a GPU so many as fit its memory together, on a CPU one."""
+    """Group the batches into turns; a GPU runs as many batches at the same time as fit its memory, a CPU one."""
     turns: list[list[tuple[list[int], float]]] = []
     used = 0.0
     for numbers, needed in parts:
@@ -258,7 +265,10 @@ def _abreast(
 
 
 def _streams(simulations: Sequence[ElementSimulation], turn: list[tuple[list[int], float]]) -> list[Any]:
-    """Of a GPU, one for each batch that runs beside others: the largest, which keeps it busy, gives way to them."""
+    """Return a CUDA stream for each batch of a turn, or None for a batch that runs alone or on a CPU.
+
+    The largest batch has the lowest priority: it keeps the GPU busy anyway, so small batches should not wait for it.
+    """
     device = simulations[turn[0][0][0]].device
     if len(turn) == 1 or not device.is_cuda:
         return [None] * len(turn)

@@ -1,7 +1,7 @@
-"""Blockage of a pipe: found while a run goes on, and where, by what the concrete does and what its contacts carry.
+"""Detect and locate the blockage of a pipe during a run, from the motion and the contact forces of the aggregates.
 
-Blocked is a pipe in which, while the piston goes on, some part of the concrete goes hardly anywhere, for longer than
-compression of what lies behind it explains, and the pressure rises.
+A pipe counts as blocked if a part of the concrete hardly moves although the piston advances, if this lasts longer than
+compression of the concrete behind that part can explain, and if the pressure rises.
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ from .probes import pair_forces
 from .state import State
 
 PARTS = 20
-"""Parts of the concrete, of equal volume, one after the other along the pipe; of few stones fewer parts."""
+"""Number of consecutive parts of equal volume into which the concrete is divided; fewer if there are few aggregates."""
 STONES = 5
-"""In a part, at least."""
+"""Minimum number of aggregates in a part."""
 LOOKS = 8
-"""Looks at them in the travel for which they must stand."""
+"""Number of checks during the piston travel for which a part must stand still before the pipe counts as blocked."""
 STANDS = 0.2
-"""Way of a part over that of the piston, below which it stands: it was 0.9 or more of all parts of sound runs once they
-moved; a pipe that widens to twice its diameter leaves 0.25. Of a closed pipe's concrete the last part still goes as
-much as what lies before the end is pressed together."""
+"""Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
+
+In runs without blockage the ratio was at least 0.9 for all parts once they moved. Behind a widening to twice the
+diameter it is 0.25, because the volume flow is constant. In a closed pipe the last part still advances by the
+compression of the concrete ahead of it.
+"""
 GRADIENT = 200e3
-"""Of pressure along a pipe, above what concrete is pumped with [Pa/m]: 5 to 50 kPa/m are usual."""
+"""Pressure gradient that pumping never reaches [Pa/m]; 5 to 50 kPa/m are usual."""
 OPPOSITE = np.radians(150.0)
-"""Angle between places of a wall that a force chain must join to span the pipe."""
+"""Minimum angle around the axis between two wall contacts of a force chain that spans the pipe [rad]."""
 QUADRATURE = 24
-"""Directions in which a bore is measured."""
+"""Number of directions across the axis in which the bore's radius is measured."""
 
 
 class BlockageWatch:
-    """Looks at the concrete now and then along the piston's travel; remembers when the pipe was blocked first."""
+    """Watch that checks the concrete at intervals of piston travel and records the first blockage of the pipe."""
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
@@ -44,20 +47,20 @@ class BlockageWatch:
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
         self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
-        """Travel of the piston for which a part must stand [m]."""
+        """Piston travel for which a part must stand still [m]."""
         self.found: dict[str, float] = {}
-        """Empty, or what is known of the blockage: see `_describe`."""
+        """Values that describe the blockage, by name as in `_describe`; empty while the pipe is not blocked."""
         self._looked = -np.inf
         self._standing: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
-        # Of the aggregates: permanent numbers, None as long as nobody looked, and volumes [m3].
+        # Permanent numbers of the aggregates (None before the first check) and their volumes [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
         self._begun: Callable[[], list[np.ndarray]] | None = None
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next look depends on, and what was found."""
+        """Return the recorded blockage and everything that the next check depends on, for a checkpoint."""
         return {
             "found": dict(self.found),
             "looked": self._looked,
@@ -67,27 +70,33 @@ class BlockageWatch:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore the watch from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
         self._looked, self._pressure = float(state["looked"]), float(state["pressure"])
         self._standing = None if state["standing"] is None else float(state["standing"])
 
     def is_due(self, travel: float) -> bool:
-        """Whether it looks at a row of this travel of the piston [m]."""
+        """Return whether a check is due at the piston travel `travel` [m]."""
         return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
 
     @property
     def may_wait(self) -> bool:
-        """Whether a look that is begun may be completed when the run has gone on: it will find no blockage, for which
-        some part must have stood at the look before."""
+        """Whether a check may read positions now and be completed after the run has continued.
+
+        This is safe if no part stood still at the previous check, because the check then cannot report a blockage.
+        """
         return self._standing is None and self._numbers is not None
 
     def begin(self) -> None:
-        """Begin a look at the concrete as it is now, which the next row completes if it is due then."""
+        """Start reading the present positions; the next call with a recorded row completes the check if it is due."""
         self._begun = self._reading()
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Look, if the piston has gone far enough since the last look: as it was when the look was begun, if it was."""
+        """Check for a blockage if the piston has advanced far enough since the last check.
+
+        `row` holds the recorded values of one sample. The check uses the positions read by `begin`, or the present
+        ones.
+        """
         begun, self._begun = self._begun, None
         travel = row.get("travel", 0.0)
         if not self.is_due(travel):
@@ -106,12 +115,12 @@ class BlockageWatch:
         self._looked, self._places = travel, s
 
     def _reading(self) -> Callable[[], list[np.ndarray]]:
-        """Permanent numbers and places of all bodies as they are now, on their way."""
+        """Start reading the permanent numbers and positions of all bodies; the returned function waits for them."""
         bodies = self.state.bodies
         return self.state.batch.exchange.begin(bodies.id, bodies.position)
 
     def _stones(self, read: Callable[[], list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and volumes [m3] of the aggregates, in the order of permanent numbers."""
+        """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
         bodies, (number, position) = self.state.bodies, read()
         place = np.empty(self.state.body_count, dtype=int)
         place[number] = np.arange(len(place))
@@ -141,28 +150,33 @@ class BlockageWatch:
 
 
 def patience(diameter: float, length: float, modulus: float) -> float:
-    """Travel of the piston for which part of the concrete must stand [m].
+    """Return the piston travel [m] for which a part must stand still before the pipe counts as blocked.
 
-    As much as the column gives under a gradient that no pumping has, but a twentieth of its length, and at most a
-    diameter, within a tenth and a fifth of the length: the paper's soft aggregates (1e5 Pa) are pressed together by up
-    to a twentieth before their front moves.
+    This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a gradient that pumping never
+    reaches, but at least length/20: the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to length/20 before
+    their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10 and length/5.
     """
     most = max(min(diameter, length / 5), length / 10)
     return min(max(length * GRADIENT * length / modulus, length / 20), most)
 
 
 def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end: float) -> float:
-    """The least way of a part of the concrete [m]: the median of its stones by volume, from arc lengths before and
-    after; stones past the pipe's `end` [m] do not count."""
+    """Return the smallest advance of any part of the concrete [m].
+
+    The advance of a part is the volume-weighted median of the advances of its aggregates. `before` and `after` are arc
+    lengths [m] and `volume` the volumes [m3] of all aggregates, shape (n,). Aggregates that were already past the arc
+    length `end` [m] of the pipe's outlet do not count.
+    """
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:
         return np.inf
+    # Sort the aggregates along the pipe; the cumulative volume then assigns them to parts of equal volume.
     order = inside[np.argsort(before[inside])]
     rank = np.cumsum(volume[order]) - 0.5 * volume[order]
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # parts follow one another
+    edges = np.flatnonzero(np.diff(part)) + 1  # aggregates of one part are contiguous after sorting
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -173,8 +187,12 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Axial part of the normal force of every touching pair [N], arc lengths of the lower and higher of its ends
-    (m, 2), and the pairs, as places of bodies, that carry more than the mean (k, 2)."""
+    """Return the axial forces of all touching pairs, the arc lengths between which they act, and the strong contacts.
+
+    Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
+    centres, lower first [m], shape (m, 2). Strong contacts carry more than the mean force; they are given as pairs of
+    row indices of bodies, shape (k, 2).
+    """
     i, j, force = pair_forces(model, state)
     body, centre = state.spheres.body.numpy(), state.spheres.position.numpy()[:, :3].astype(float)
     middle = axis.along(0.5 * (centre[i] + centre[j]))
@@ -189,17 +207,24 @@ def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """The last station [m] whose section still carries half of the largest axial force through its contacts."""
+    """Return the last station [m] whose cross-section still carries half of the largest axial force.
+
+    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from `loads`.
+    """
     carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
     return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
 
 
 def spanning(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
-    """How many separate networks of strong contacts join opposite places of the wall within a `length` [m] about a
-    station `at` [m]; `chains` are pairs of bodies that carry more than the mean contact."""
+    """Count the separate networks of strong contacts that connect opposite sides of the wall.
+
+    Only bodies within half a `length` [m] of the station `at` [m] count. `chains` are the strong contacts as from
+    `loads`.
+    """
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)
     here = np.abs(s - at) < 0.5 * length
+    # A union-find structure joins bodies that are connected by strong contacts to networks.
     parent = np.arange(len(position))
 
     def root(k: int) -> int:
@@ -219,6 +244,7 @@ def spanning(model: Model, state: State, axis: Any, at: float, length: float, ch
     linked = np.zeros(len(position), bool)
     linked[chains.ravel()] = True
     roots = np.array([root(int(b)) for b in body], int)
+    # A network spans the pipe if two of its wall contacts lie on opposite sides of the axis.
     count = 0
     for one in np.unique(roots[linked[body]]):
         mine = angle[(roots == one) & linked[body]]
@@ -228,7 +254,7 @@ def spanning(model: Model, state: State, axis: Any, at: float, length: float, ch
 
 
 def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Bodies, by place, that touch a pipe or a mesh, and where (m, 3) [m]."""
+    """Return the row indices of bodies in contact with a pipe or mesh, shape (m,), and the points [m], shape (m, 3)."""
     centre = state.spheres.position.numpy().astype(float)
     body, places, points = state.spheres.body.numpy(), [], []
     for wall in model.walls:
@@ -250,7 +276,11 @@ def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bore_area(walls: Any, axis: Any, radius: float, at: float) -> float:
-    """Cross-section of the bore at an arc length [m2]; of one of `radius` where no mesh is met."""
+    """Return the cross-sectional area of the bore at the arc length `at` [m2].
+
+    Rays across the axis measure the distance to fixed meshes. Without a closed mesh the area is that of a circle of
+    `radius` [m].
+    """
     area = np.pi * radius**2
     point, _, normal, side = axis.frame(at)
     angle = 2 * np.pi * (np.arange(QUADRATURE) + 0.382) / QUADRATURE

@@ -1,4 +1,4 @@
-"""Numbers and words about a blocked pipe."""
+"""Quantities and report text that describe the blockage of a pipe."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ QUANTITIES = (
     Quantity("blocked_solid_fraction", "1", _of("solid_fraction")),
     Quantity("blocked_chains", "1", _of("chains")),
 )  # fmt: skip
-"""0 or 1, so that its mean over seeds is a probability; where along the axis, when it was told, the travel from which
-on part of the concrete stood, the pressure when it was told and then, the solid fraction there, and the networks of
-strong contacts that span the pipe there."""
+"""Quantities of a blocked pipe.
+
+`blocked` is 0 or 1, so its mean over several seeds is a probability. The others are the blockage's position along the
+axis, the time of detection, the piston travel at which part of the concrete came to a stand, the pressure at detection
+and at that stand, and, at the blockage, the solid fraction and the number of force chains that span the pipe.
+"""
 
 
 def blocked_words(run: Any) -> str:
-    """Where and why a pipe was blocked."""
+    """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
     found = {name: number(run.result[f"blocked_{name}"]) for name in
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
     spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"

@@ -1,4 +1,4 @@
-"""Bodies on the host: what a state is made from, and what a run ends with."""
+"""Table of bodies on the host, from which a state is built and with which a run ends."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from .scene import Scene
 
 @dataclass(repr=False)
 class BodyTable:
-    """Bodies on the host, one row each, in order of their permanent numbers."""
+    """Bodies on the host, one row for each body, in the order of their permanent numbers."""
 
     position: np.ndarray
     """Centroids [m], shape (n, 3)."""
     orientation: np.ndarray
-    """Unit quaternions x, y, z, w from body to space, shape (n, 4)."""
+    """Unit quaternions (x, y, z, w) that rotate from the body's frame to space, shape (n, 4)."""
     velocity: np.ndarray
-    """[m/s], shape (n, 3)."""
+    """Velocities of the centroids [m/s], shape (n, 3)."""
     spin: np.ndarray
-    """In space [rad/s], shape (n, 3)."""
+    """Angular velocities in space [rad/s], shape (n, 3)."""
     size: np.ndarray
-    """Diameter of the sphere of equal volume [m], shape (n,)."""
+    """Diameters of spheres of equal volume [m], shape (n,)."""
     template: np.ndarray
-    """Index into `templates`, shape (n,)."""
+    """Index of each body's shape in `templates`, shape (n,)."""
     density: np.ndarray
-    """[kg/m3], shape (n,)."""
+    """Densities [kg/m3], shape (n,)."""
     material: list[str]
     group: list[str]
     templates: tuple[ClumpTemplate, ...]
@@ -45,22 +45,22 @@ class BodyTable:
 
     @property
     def mass(self) -> np.ndarray:
-        """[kg], shape (n,)."""
+        """Mass of each body [kg], shape (n,)."""
         return self.density * self.volume
 
     @property
     def sphere_counts(self) -> np.ndarray:
-        """Spheres of each body, shape (n,)."""
+        """Number of spheres of each body, shape (n,)."""
         return np.array([len(template.radii) for template in self.templates], dtype=int)[self.template]
 
     @staticmethod
     def empty() -> BodyTable:
-        """A table without rows."""
+        """Return a table without bodies."""
         none = np.zeros((0, 3))
         return BodyTable(none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0, int), np.zeros(0), [], [], ())
 
     def joined(self, other: BodyTable) -> BodyTable:
-        """Both tables in a row."""
+        """Return a table with the bodies of this table followed by those of `other`; templates are stored once."""
         templates = list(self.templates)
         for template in other.templates:
             if all(template is not known for known in templates):
@@ -81,7 +81,7 @@ class BodyTable:
 
 
 def placed_bodies(scene: Scene) -> BodyTable:
-    """Table of the bodies that the scene places one by one."""
+    """Return a table of the bodies whose positions the scene gives explicitly, without packed ones."""
     table = BodyTable.empty()
     for bodies in scene.bodies:
         n = len(bodies.positions)

@@ -1,8 +1,9 @@
-"""Making bonds in a scene, giving some of them other properties, and where their loads stand.
+"""Create bonds between bodies, change the properties of bonds, and assign their rows of load.
 
-A bond has a row of `pairs.load`, which `pairs.bond` tells beside its kind, for as long as it holds: lists are built
-anew around it. Of a half list, by which threads step a pair across their border each for itself, a bond has two rows.
-Where contacts heal any listed pair may become a bond, so there each entry of the list has a row, which goes with it.
+The load of a bond (its forces and moments) is stored in a row of `pairs.load`. The integer `pairs.bond` of a listed
+pair encodes the bond's kind and that row. A bond keeps its row when neighbour lists are rebuilt, until it breaks. In a
+half list (CPU), a pair across the border of two chunks is computed once by each thread, so every bond has two rows, one
+for each thread. If contacts can heal, any listed pair may bond, so every entry of the list has a row of its own.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ from .state import State
 
 
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
-    """Bond, without load, every listed pair within `bonds.gap` that is not bonded (inside `group` only, if given).
+    """Bond, without load, every unbonded listed pair whose gap is at most `bonds.gap` [m].
 
-    Returns the number of pairs that are bonded afterwards. The list must be fresh and reach as far as the gap. Raises
-    :class:`CapacityError` where there are more bonds than can be numbered.
+    Only pairs inside body group number `group` are bonded, unless it is -1. Returns the number of bonds of this `kind`
+    afterwards. The neighbour list must be fresh and must reach as far as the gap. Raises :class:`CapacityError` if
+    there are more bonds than can be numbered.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()
@@ -37,7 +39,7 @@ def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int =
 
 
 def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
-    """Give a random `fraction` of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
+    """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the number of bonds of kind `new`."""
     _, reassign = bond_kernels(model.scalar)
     launch(
         reassign, state.sphere_count, model.device, old_kind=old, new_kind=new, fraction=fraction,
@@ -47,22 +49,29 @@ def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: flo
 
 
 def bond_kinds(bond: np.ndarray) -> np.ndarray:
-    """Kinds of bonds, or what is said instead of one, as `kernels/dem/bond_parallel.py` has them, of `pairs.bond`."""
+    """Return the kind of each bond encoded in values of `pairs.bond`.
+
+    Values of 0 (no bond) and below (broken, see `kernels/dem/bond_parallel.py`) are returned unchanged.
+    """
     return np.where(bond > 0, bond & MOST_KINDS, bond)
 
 
 def bond_rows(bond: np.ndarray) -> np.ndarray:
-    """Rows of `pairs.load` of those that are bonds, of `pairs.bond`."""
+    """Return the row of `pairs.load` of each bond encoded in positive values of `pairs.bond`."""
     return bond >> int(KIND_BITS)
 
 
 def _kinds(state: State) -> np.ndarray:
-    """Bond state of every listed pair, each pair once."""
+    """Return the bond kind of every listed pair, each pair once; values of 0 and below mean no bond."""
     return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
 
 
 def _number(state: State, before: np.ndarray) -> None:
-    """Give all bonds rows in the order of the list; those that were not there `before` begin without load."""
+    """Assign rows of load to all bonds in the order of the neighbour list.
+
+    `before` holds the earlier values of `pairs.bond`: bonds that existed keep their load, and new ones start without
+    load.
+    """
     i, j, place = listed_pairs(state)
     bond = state.pairs.bond.numpy().copy()
     held = bond[place] > 0
@@ -87,9 +96,12 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Give the second entries of bonds across borders of chunks the second rows of these, of places `low` and `high` of
-    their spheres and `place` in the list."""
+    """Assign the second row of load to the second list entry of each bond across a border of chunks.
+
+    `low` and `high` are the indices of the bonded spheres, and `place` is the first list entry of each bond.
+    """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
+    # A bonded entry that is not a first entry is the second entry of the pair with the same two spheres.
     copies = np.flatnonzero(bond[: len(other)] > 0)
     copies = copies[~np.isin(copies, place)]
     i = np.searchsorted(start, copies, "right") - 1

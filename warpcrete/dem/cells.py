@@ -1,4 +1,4 @@
-"""Cells of the grid, laid out for the place that the scenes of a batch take."""
+"""Cell grid of the neighbour search, fitted to the space that the scenes of a batch occupy."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from ..kernels.common.types import types
 from ..kernels.dem.grid import grid_kernels, grid_struct
 
 LOOKED_AT = 4_000
-"""Spheres of a scene that tell how far it reaches, about."""
+"""Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST = 1e6
-"""Widths of a cell from the middle of a scene from which on it does not matter how far a sphere is."""
+"""Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
 AMONG = 0.1
-"""Percent of a scene's spheres at either end of each axis that may lie beyond its cells."""
+"""Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
 CELLS = 8
-"""Cells a sphere, at most: all are cleared with every build."""
+"""Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
 FEWEST_CELLS = 4096
 MOST_CELLS = {"cpu": 2**18, "cuda": 2**24}
 
 
 class Cells:
-    """A grid with a block of cells for each scene, one beside another.
+    """Grid with adjacent blocks of cells, one block for each scene.
 
-    Positions wrap around the grid, so any place is in a cell: to lie beyond a scene's block, or to have too few cells,
-    costs time and changes nothing. A cube of cells for a pipe, as long as eight of its diameters, has its spheres lie
-    over one another several times.
+    Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block, or a
+    grid with too few cells, costs time but cannot change results. The blocks are fitted to the scenes, because in a
+    cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the search.
     """
 
     shift: wp.array
-    """From a scene's own place to that of its block [m], shape (scenes,)."""
+    """Displacement from each scene's own position to its block of cells [m], shape (scenes,)."""
     grid: Any
-    """A struct `Grid`."""
+    """Device arrays of the grid, a struct `Grid`."""
     made: int
-    """How often it has been laid out: launches hold its arrays."""
+    """Number of times the grid was allocated; a change means that recorded launches refer to old arrays."""
 
     def __init__(self, batch: Any) -> None:
         self.batch = batch
@@ -46,7 +46,7 @@ class Cells:
         self._fitted = np.zeros(batch.count, dtype=bool)
         self._full = np.array([state.sphere_count > 0 for state in batch.states])
         self._mean_radius = np.array([state.mean_radius for state in batch.states])
-        """Of a scene's spheres at full size [m]."""
+        """Mean radius of each scene's spheres at full size [m], shape (scenes,)."""
         self._dims = np.ones(3, dtype=int)
         self._width = 0.0
         self.made = 0
@@ -63,13 +63,17 @@ class Cells:
         self.made += 1
 
     def width(self) -> float:
-        """Of a cell [m]: for the many small spheres; the few large ones look through more of them."""
+        """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
+
+        The largest value of all scenes counts. The few spheres larger than the mean search more than the adjacent
+        cells.
+        """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
         return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
 
     def fit(self, width: float, due: np.ndarray) -> None:
-        """Lay out cells of a `width` [m] for the spheres of scenes that are `due` as they are now."""
+        """Fit blocks of cells of a `width` [m] to the present spheres of the scenes marked in `due`."""
         due = (due | ~self._fitted) & self._full
         if not due.any():
             return
@@ -77,7 +81,8 @@ class Cells:
             self._bounds[s] = self._reach(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # one between it and the next scene's
+        sizes = high - low + 2  # one empty cell separates a block from the next
+        # The blocks of all scenes follow one another along the axis in which the largest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()
@@ -87,17 +92,18 @@ class Cells:
         most = min(
             max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
         )
+        # Positions wrap around, so halving the longest side keeps the search correct.
         while np.prod(dims, dtype=float) > most:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
         if np.all(dims <= self._dims):
             return
-        # What spreads is to find room for a while.
+        # Spheres that spread further should find room for a while, so the grid grows by a quarter more than needed.
         grown = np.maximum(self._dims, dims + dims // 4)
         self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
         self._make()
 
     def _reach(self, s: int, width: float) -> np.ndarray:
-        """Lowest and highest corner of where nearly all spheres of a scene are [m], shape (2, 3)."""
+        """Return the lowest and highest corner of a box around nearly all spheres of a scene [m], shape (2, 3)."""
         state = self.batch.states[s]
         stride = max(1, state.sphere_count // LOOKED_AT)
         some = state.spheres.position[::stride]
@@ -113,13 +119,13 @@ class Cells:
         return middle + np.percentile(near, [AMONG, 100 - AMONG], axis=0)
 
     def use_width(self, width: float) -> None:
-        """Have cells of a `width` [m] from the next building on."""
+        """Set the width of a cell [m] for the next rebuild."""
         if width != self._width:
             self._width = width
             self.grid.per_width.fill_(self.batch.scalar(1 / width))
 
     def stages(self, centre: wp.array) -> list[Stage]:
-        """What puts points, shifted already, into cells; `held` is to be zero."""
+        """Return the stages that sort the shifted points `centre` into cells; the array `grid.held` must be zero."""
         b, kernels = self.batch, grid_kernels(self.batch.scalar)
         return [
             b.stage(kernels.count, b.sphere_count, centre=centre, grid=self.grid),

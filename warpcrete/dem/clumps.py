@@ -1,4 +1,4 @@
-"""Clump templates: rigid bodies made of overlapping spheres; in their mass each overlap counts once."""
+"""Clump templates: rigid shapes made of overlapping spheres, whose overlaps count only once in mass and inertia."""
 
 from __future__ import annotations
 
@@ -13,42 +13,47 @@ from ..core.errors import SceneError, between, refuse
 
 @dataclass(frozen=True, eq=False)
 class ClumpTemplate:
-    """Shape of an aggregate at unit size: its volume equals that of a sphere of diameter 1.
+    """Shape of an aggregate at unit size, that is, with the volume of a sphere of diameter 1.
 
-    Spheres are given about the union's centroid, in its principal axes.
+    Sphere centres are relative to the centroid of the spheres' union, in its principal axes. A body multiplies all
+    lengths by its size, the diameter of the sphere of equal volume.
     """
 
     name: str
     offsets: np.ndarray
-    """Sphere centres, shape (k, 3), in sizes."""
+    """Sphere centres in units of the size, shape (k, 3)."""
     radii: np.ndarray
-    """Shape (k,), in sizes."""
+    """Sphere radii in units of the size, shape (k,)."""
     inertia: np.ndarray
-    """Principal moments of inertia, shape (3,), over mass times size squared; equal where they differ by under 1e-4."""
+    """Principal moments of inertia divided by mass times size squared, shape (3,).
+
+    Moments that differ by less than 1e-4 of their mean are made equal.
+    """
 
     @property
     def extent(self) -> float:
-        """Largest distance of the surface from the centroid, in sizes."""
+        """Largest distance of the surface from the centroid, in units of the size."""
         return float(np.max(np.linalg.norm(self.offsets, axis=1) + self.radii))
 
     @property
     def shape_factor(self) -> float:
-        """Longest over shortest width of the bounding box in principal axes."""
+        """Ratio of the longest to the shortest side of the bounding box in principal axes."""
         widths = np.max(self.offsets + self.radii[:, None], 0) - np.min(self.offsets - self.radii[:, None], 0)
         return float(widths.max() / widths.min())
 
     def scaled(self, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """Sphere centres (k, 3) and radii (k,) of a body of `size` [m], in the body's frame."""
+        """Return sphere centres, shape (k, 3), and radii, shape (k,), of a body of `size` [m] in its own frame [m]."""
         return self.offsets * size, self.radii * size
 
 
 def union_properties(
     centres: np.ndarray, radii: np.ndarray, resolution: int = 384
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume, centroid (3,) and inertia tensor about the centroid (3, 3; unit density) of a union of spheres.
+    """Return the volume, centroid, and inertia tensor about the centroid, of a union of spheres.
 
-    Each line of a fine grid along z is cut exactly (overlaps count once), so the error falls as the 1.5th
-    power of the grid step; at the default the volume of one sphere is right to 2e-5.
+    Shapes are (), (3,) and (3, 3); the density is 1. Lines along z, on a fine grid in x and y, are intersected exactly
+    with the spheres, and overlaps count once. The error falls as the 1.5th power of the grid step. `resolution` is the
+    number of grid steps across the union; at its default the volume of one sphere is accurate to 2e-5.
     """
     centres, radii = np.asarray(centres, float), np.asarray(radii, float)
     lower, upper = (centres - radii[:, None]).min(0), (centres + radii[:, None]).max(0)
@@ -62,6 +67,7 @@ def union_properties(
     half = np.sqrt(np.maximum(square, 0.0))
     begin = np.where(square > 0, centres[:, 2] - half, np.inf)
     end = np.where(square > 0, centres[:, 2] + half, -np.inf)
+    # Sort the chords of each line and clip each to the end of the chords before it, so that overlaps count once.
     order = np.argsort(begin, axis=1)
     begin, end = np.take_along_axis(begin, order, 1), np.take_along_axis(end, order, 1)
     reached = np.maximum.accumulate(end, axis=1)
@@ -73,7 +79,7 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # Lines have a square cross-section: its own second moment adds step^2/12.
+    # Each line stands for a prism of rectangular cross-section, whose own second moment adds step^2/12 in x and in y.
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()
@@ -85,7 +91,11 @@ def union_properties(
 
 
 def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
-    """Template from spheres at any scale and place: centred, turned to principal axes, scaled to unit size."""
+    """Create a template from spheres at any scale and position.
+
+    `centres`, shape (k, 3), and `radii`, shape (k,), are centred, rotated to principal axes and scaled to unit size.
+    Raises :class:`SceneError` for invalid input.
+    """
     try:
         centres, radii = np.atleast_2d(np.asarray(centres, float)), np.atleast_1d(np.asarray(radii, float))
     except (TypeError, ValueError):
@@ -104,7 +114,7 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
     if np.ptp(moments) < 1e-4 * moments.mean():
-        # As round as the integration can tell: such a body turns like a sphere, which costs less.
+        # Within the accuracy of the integration the body rotates like a sphere, which is cheaper to compute.
         moments = np.full(3, moments.mean())
     offsets = (centres - centroid) @ axes / size
     return ClumpTemplate(name, offsets, radii / size, moments / (volume * size**2))
@@ -112,16 +122,16 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
 
 @functools.cache
 def sphere() -> ClumpTemplate:
-    """A single sphere."""
+    """Return the template of a single sphere."""
     return clump("sphere", np.zeros((1, 3)), np.array([1.0]))
 
 
 @functools.cache
 def elongated(shape_factor: float) -> ClumpTemplate:
-    """Straight row of equal spheres with the given length over width (1 or more).
+    """Return a straight row of equal spheres whose ratio of length to width is `shape_factor`, from 1 to 20.
 
-    The paper's Figure 14 shows rows for 1.5, 2.5, 3.5 and 4.5; centres here lie at most one radius apart,
-    which keeps the waist above 0.87 of the width.
+    Zhan (2019, Fig. 14) shows such rows for the factors 1.5, 2.5, 3.5 and 4.5. Here the centres are at most one radius
+    apart, so the narrowest cross-section is wider than 0.86 of the full width.
     """
     between("shape_factor", shape_factor, 1.0, 20.0)
     if shape_factor == 1:
@@ -133,9 +143,10 @@ def elongated(shape_factor: float) -> ClumpTemplate:
 
 @functools.cache
 def reference() -> tuple[ClumpTemplate, ...]:
-    """Four hand-made aggregate shapes in the spirit of the paper's Figure 2, which gives no coordinates.
+    """Return four aggregate shapes modelled by hand on Zhan (2019, Fig. 2), which gives no coordinates.
 
-    A rounded pair, a flat triangle, a compact tetrahedron and a bent row; shape factors 1.4 to 2.1.
+    The shapes are a rounded pair, a flat triangle, a compact tetrahedron and a bent row, with shape factors of 1.4 to
+    2.1.
     """
     pair = clump("pair", np.array([[-0.35, 0, 0], [0.45, 0, 0]]), np.array([1.0, 0.85]))
     angle = np.radians([90, 210, 330])
@@ -150,10 +161,10 @@ TEMPLATE_SETS = ("reference", "spheres", "shape-1.5", "shape-2.5", "shape-3.5", 
 
 
 def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
-    """Templates by name: `reference` (four clumps), `spheres`, `shape-F` with a shape factor F of 1 to 20.
+    """Return the templates with a name: `reference` (four clumps), `spheres`, or `shape-F` with F from 1 to 20.
 
-    Anything with a file ending is the path of a closed mesh, covered by `spheres` spheres; several paths may
-    be joined by commas.
+    F is the shape factor. A name with a file extension is the path of a closed mesh, which is covered by `spheres`
+    spheres; several paths may be separated by commas. Raises :class:`SceneError` for an unknown name.
     """
     if name == "reference":
         return reference()
@@ -177,15 +188,15 @@ def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
 
 
 def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> ClumpTemplate:
-    """Cover a closed triangle mesh with a wanted number of spheres.
+    """Create a template that approximates a closed triangle mesh by a given number of spheres.
 
-    Candidates are interior points of a grid of `resolution` cells along the longest side; the spheres that
-    cover most of what is still bare are taken one by one, each tangent to the surface from inside, and all
-    radii then grow together until the union has the mesh's volume. Cavities count as filled: a body meets others with
-    its outside.
+    Candidates are spheres tangent to the surface from inside, centred at interior points of a grid with `resolution`
+    cells along the longest side. A greedy search adds the sphere that covers most of the volume not yet covered.
+    Finally all radii grow by the same length until the union has the mesh's volume. Cavities count as filled, because a
+    body touches others only with its outer surface.
 
-    Parameters: `mesh`, a ``trimesh.Trimesh`` or a path that trimesh reads; `spheres`, 1 to 500.
-    Raises :class:`SceneError` for an open or unreadable mesh.
+    `mesh` is a ``trimesh.Trimesh`` or a path that trimesh can read; `spheres` is 1 to 500. Raises :class:`SceneError`
+    for an open or unreadable mesh.
     """
     from ..geometry.meshes import load_closed, signed_distance
     from ..geometry.solids import without_cavities
@@ -204,7 +215,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if inside.sum() < 8:
         refuse("resolution", resolution, "is too coarse for this mesh", "raise it")
     points, depth = points[inside], depth[inside]
-    # Deep points first: a shallow candidate rarely covers much, and 4,000 are plenty.
+    # A point near the surface rarely covers much volume, so the 4,000 deepest points are enough as candidates.
     candidates = np.argsort(-depth)[:4000]
     bare = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
@@ -219,6 +230,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"is more than the {len(chosen)} that this mesh needs at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]
+    # Bisection finds the growth of all radii at which the union has the volume of the mesh.
     low, high = 0.0, float(mesh.volume) ** (1 / 3)
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -228,9 +240,10 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
 
 
 def mesh_agreement(template: ClumpTemplate, mesh) -> dict[str, float]:
-    """How far a clump's principal moments are from those of the mesh it stands for, at equal volume.
+    """Compare the principal moments of inertia of a clump with those of the mesh that it approximates.
 
-    Returns `inertia_error`, the largest relative difference of a principal moment.
+    Returns a dictionary with `inertia_error`, the largest relative difference of a principal moment at equal volume.
+    Raises :class:`SceneError` for an open or unreadable mesh.
     """
     from ..geometry.meshes import load_closed
     from ..geometry.solids import without_cavities

@@ -1,4 +1,4 @@
-"""What a concrete by its name, or from a file, is to discrete elements."""
+"""Translate a named concrete, or one from a file, to parameters of discrete elements."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from ..core.limits import warn
 from ..mix.mix import completed
 
 SIZES = ("sizes", "size_min", "size_max")
-"""Parameters that tell the sizes of the aggregate."""
+"""Names of the parameters that set the sizes of the aggregates."""
 COVERAGE = 0.8
-"""Area on which a lubrication layer acts (pi r^2 of every contact with the wall) over that of the wall, of clumps with
-the contacts of Zhan's Table 1: 0.77 at 2.8 and 0.79 at 6.2 kPa, by `tests/bench_layer.py`. With it units A and B of
-no. 1 and no. 3 come within 4 % of a plug's closed form. Single spheres roll along a layer: 0.02 where nothing rubs."""
+"""Ratio of the area on which the lubrication layer acts to the area of the wall.
+
+The layer acts on pi r^2 of every wall contact. For clumps with the contacts of Zhan (2019, Table 1),
+`tests/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2 kPa. With 0.8, Zhan's pipe
+units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the closed form for plug flow.
+Single spheres roll along the layer: without friction between them the effective ratio is 0.02.
+"""
 
 
 def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
-    """Parameters of discrete elements that the concrete among `values` stands for.
+    """Return the parameters of discrete elements that the concrete named in `values` implies.
 
-    `known` are those that a concrete may set, `default` the concrete's name where none is given. A
-    concrete of which all of these are given is not looked up: a run's record says everything itself. Raises
-    :class:`SceneError` for a concrete that does not exist, or sets anything else.
+    `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete.
+    Returns an empty dictionary if `values` already sets all of them, as the record of a run does. Raises
+    :class:`SceneError` for a concrete that does not exist or that sets other parameters.
     """
     name = values.get("concrete", default)
     name = str(name) if isinstance(name, os.PathLike) else name
@@ -38,14 +42,17 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(f"concrete {found.name} has no sieve curve: its aggregate has the default sizes of the scene; "
              "sizes = '4:0,8:0.4,16:1' gives one")  # fmt: skip
-    if "density" in values:  # of the aggregates: the concrete's own then says nothing
+    if "density" in values:  # a given density of the aggregates replaces the concrete's bulk density
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
 
 
 def _of_flow(found: NamedConcrete) -> dict[str, Any]:
-    """Of a concrete whose flow alone is known: its density, and its slip layer, which is all that walls do to it; all
-    else is Zhan's Table 1."""
+    """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
+
+    The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
+    1).
+    """
     flow = found.flow
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:

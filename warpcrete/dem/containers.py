@@ -1,4 +1,4 @@
-"""Containers that are filled with aggregates, and what they are filled with."""
+"""Containers that are filled with aggregates, and the description of their filling."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
 SOWN = 0.95
-"""Part of the local radius within which aggregates are sown where a pipe is made of eight facets or more."""
+"""Fraction of the local radius within which aggregates start; they then fit into a pipe of eight or more facets."""
 
 
 def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
-    """Low-discrepancy points in the unit cube (Roberts' R3 sequence), randomly shifted; shape (count, 3)."""
+    """Return `count` low-discrepancy points in the unit cube, shape (count, 3).
+
+    The points are Roberts' R3 sequence, shifted by a random vector.
+    """
     root = 1.2207440846057596  # real root of x^4 = x + 1
     steps = root ** -np.arange(1, 4)
     return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
@@ -27,21 +30,23 @@ def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PipeContainer:
-    """The first `length` of a pipe, between two planes across it.
+    """First part of a pipe with a given `length` along the axis, closed by a plane at either end.
 
-    `bore`, a mesh, is the true wall where that is no round pipe of `radius` (a reducer, a few facets): `radius` is then
-    the least, inside which aggregates are sown, and `area` the mean cross-section. Where `bores` says how wide the pipe
-    is all along, aggregates are sown by that; where it is not round, within the circles that are free, `clear`.
+    If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
+    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
+    as a function of arc length where it varies, so that aggregates start evenly distributed over the volume. If the
+    cross-section is not round, `clear` gives the largest circles about the axis that lie inside, and aggregates start
+    within them.
     """
 
     axis: Axis
     radius: float
-    """[m]"""
+    """Inner radius [m]."""
     length: float
-    """[m]"""
+    """Length along the axis [m]."""
     bore: MeshWall | None = None
     area: float | None = None
-    """[m2]; None: of the round pipe."""
+    """Mean cross-sectional area [m2]; None means that of the round pipe."""
     bores: Bores | None = None
     clear: Bores | None = None
 
@@ -53,18 +58,18 @@ class PipeContainer:
 
     @property
     def volume(self) -> float:
-        """[m3] (Pappus: a bend does not change it)."""
+        """Volume [m3]; by Pappus's theorem a bend does not change it."""
         if self.bores is not None:
             return self.bores.volume(0.0, self.length)
         return float(np.pi * self.radius**2 if self.area is None else self.area) * self.length
 
     @property
     def narrowest(self) -> float:
-        """Largest sphere diameter that fits [m]."""
+        """Diameter of the largest sphere that fits into the container [m]."""
         return min(2 * self.radius, self.length)
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """Pipe and end planes."""
+        """Return the pipe wall and the two end planes with a contact `material`."""
         points, tangents = self.axis.at([0.0, self.length])
         ends = (
             PlaneWall(name="start", point=tuple(points[0]), normal=tuple(tangents[0]), material=material),
@@ -75,11 +80,11 @@ class PipeContainer:
         return (PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material), *ends)
 
     def pilot(self) -> PipeContainer:
-        """A smaller container in which packings are much the same."""
+        """Return a shorter container whose packings have nearly the same properties, for cheap trial packings."""
         return replace(self, length=min(self.length, 3 * self.radius))
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """Well spread points inside, shape (count, 3) [m]."""
+        """Return `count` evenly distributed points inside the container [m], shape (count, 3)."""
         u = spread_points(count, random)
         s = u[:, 0] * self.length
         radius: np.ndarray | float = self.radius
@@ -94,9 +99,10 @@ class PipeContainer:
 
 @dataclass(frozen=True)
 class MeshContainer:
-    """Inside of a closed triangle mesh: a ``trimesh.Trimesh`` or a path that trimesh reads.
+    """Interior of a closed triangle mesh, a ``trimesh.Trimesh`` or a path that trimesh can read.
 
-    Two skins hold the room between them, as around an obstacle: of a thick vessel give the inner skin alone.
+    A mesh of two nested surfaces encloses the space between them, as around an obstacle. For a vessel with thick walls,
+    give only its inner surface.
     """
 
     mesh: object
@@ -106,51 +112,57 @@ class MeshContainer:
 
     @property
     def volume(self) -> float:
-        """[m3]"""
+        """Volume [m3]."""
         return float(self.mesh.volume)  # type: ignore[attr-defined]
 
     @property
     def narrowest(self) -> float:
-        """Shortest side of the bounding box [m]."""
+        """Length of the shortest side of the bounding box [m]."""
         return float(self.mesh.extents.min())  # type: ignore[attr-defined]
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """The mesh itself."""
+        """Return the mesh as a wall with a contact `material`."""
         return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
 
     def pilot(self) -> MeshContainer:
-        """The container itself: of a mesh nothing smaller is alike."""
+        """Return the container itself, because no smaller container is similar to an arbitrary mesh."""
         return self
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """Well spread points inside, shape (count, 3) [m]."""
+        """Return `count` evenly distributed points inside the container [m], shape (count, 3)."""
         lower, upper = self.mesh.bounds  # type: ignore[attr-defined]
         wanted = int(1.2 * count * np.prod(upper - lower) / self.volume) + 64
         while True:
             points = lower + spread_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
-                # A sequence is well spread in whole only: thin it evenly.
+                # Only the complete sequence is evenly distributed, so surplus points are removed at regular intervals.
                 return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
             wanted *= 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fill:
-    """Aggregates and the container they are packed into."""
+    """Aggregates and the container into which they are packed.
+
+    Exactly one of `solid_fraction` and `pressure` must be given. Raises :class:`SceneError` for invalid values.
+    """
 
     container: PipeContainer | MeshContainer
     sizes: Sizes = field(default_factory=Gaussian)
     templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
     fractions: tuple[float, ...] | None = None
-    """Volume fraction of each template; None: equal."""
+    """Share of each template in the solid volume, scaled to the sum 1; None means equal shares."""
     density: float = 2500.0
-    """Of the bodies [kg/m3]."""
+    """Density of the bodies [kg/m3]."""
     bulk_density: float | None = None
-    """Of the filled container [kg/m3], instead: bodies bear what is between them, too."""
+    """Density of the filled container [kg/m3]; if given, it replaces `density`.
+
+    The bodies then also carry the mass of the mortar between them.
+    """
     material: str = "aggregate"
     solid_fraction: float | None = None
-    """Solid volume over container volume; give this or `pressure`."""
+    """Ratio of solid volume to container volume, from 0.01 to 0.8; an alternative to `pressure`."""
     pressure: float | None = None
     """Mean pressure of the finished packing, without gravity or friction [Pa]."""
 
@@ -172,7 +184,7 @@ class Fill:
             refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, 0 or more, not all 0",
                    "one for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
-        # An aggregate lies along the container if it is long, so its thinnest width decides.
+        # A long aggregate can lie along the container, so its smallest width decides whether it fits.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
         if thickest >= self.container.narrowest:
             refuse(

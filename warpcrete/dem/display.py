@@ -1,4 +1,4 @@
-"""Discrete elements as recorders draw them."""
+"""Display of discrete elements: the data that recorders and viewers draw of a run."""
 
 from __future__ import annotations
 
@@ -30,27 +30,31 @@ from .stations import COLUMNS, FINEST, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
-"""Over the colours of wear: stones are to be seen through it a little."""
+"""Base colour and opacity of worn walls, red, green, blue and alpha; aggregates remain faintly visible behind them."""
 WEAR_PALETTE = "magma_r"
-"""Another one than that of stones; pale where nothing is worn."""
+"""Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
 SHOWN = 0.99
-"""Part of a wall's worn patches that the scale of their depth takes in: single ones are worn a few times as deep."""
+"""Quantile of worn depth at the top of the colour scale, because single patches are worn several times as deep."""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
-"""Stresses of stations: what they are called, their column, their colour."""
+"""Stresses plotted along the pipe: label, column of the stations' table, and colour."""
 STRONGEST, THINNEST = 0.12, 0.04
-"""Of the largest aggregate, a chain's radius at the top of the colours' scale; of that, one that carries nothing."""
+"""Radii of the lines that show contact forces.
+
+`STRONGEST` is the radius at the top of the colour scale, divided by the size of the largest aggregate. `THINNEST` is
+the smallest radius, for a contact without force, divided by that radius.
+"""
 RINGS = 10
-"""Of a velocity profile from axis to wall."""
+"""Number of rings of a velocity profile between the axis and the wall."""
 STRETCH = (0.2, 0.8)
-"""Part of the concrete's length that a velocity profile is taken over."""
+"""Range of the concrete, as fractions of its length, over which a velocity profile is averaged."""
 ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
 
 
 class ElementDisplay(Display):
-    """Aggregates by largest contact force, speed or size; every clump is drawn by its own spheres."""
+    """Display of aggregates coloured by largest contact force, speed or size; a clump is drawn as its spheres."""
 
     colourings: ClassVar = ("force", "speed", "size")
     noun: ClassVar = "aggregates"
@@ -60,15 +64,15 @@ class ElementDisplay(Display):
         super().__init__(simulation, colouring)
         self._upper = self._limit()
         self._patches: dict[int, np.ndarray] = {}
-        """Patch of each vertex of a worn wall, by the wall's number."""
+        """Patch index of each vertex of a worn wall, by the wall's number."""
         self._worn_most = 0.0
         self._along: tuple[float, np.ndarray] | None = None
-        """Time, and what stations measured then."""
+        """Time of the last measurement at the stations [s], and its result."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Top of the colour scale: a strong contact force, 1.5 times the steady speed, the largest size."""
+        """Return the top of the colour scale: a large contact force, 1.5 times steady speed, or the largest size."""
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
         self._thick = STRONGEST * largest
@@ -83,7 +87,7 @@ class ElementDisplay(Display):
         return self._strong
 
     def scale(self) -> tuple[str, float, float]:
-        """What colours show, with its lowest and highest value."""
+        """Return the label of the colour scale with its lowest and highest value."""
         if self.colouring == "size":
             return "size [mm]", 0.0, 1e3 * self._upper
         if self.colouring == "speed":
@@ -97,33 +101,33 @@ class ElementDisplay(Display):
         return self.worked_out("order of bodies", lambda: _places_of(self.read("bodies.id")))
 
     def radii(self) -> np.ndarray:
-        """Of all spheres [m], in order of permanent numbers, shape (n,)."""
+        """Return the radii of all spheres [m], in order of permanent numbers, shape (n,)."""
         return self.read("spheres.position")[self._sphere_order(), 3]
 
     def centres(self) -> np.ndarray:
-        """Of all spheres [m], likewise, shape (n, 3)."""
+        """Return the centres of all spheres [m], in order of permanent numbers, shape (n, 3)."""
         return np.take(self.read("spheres.position"), self._sphere_order(), axis=0)[:, :3]
 
     def colours(self) -> np.ndarray:
-        """RGB bytes of all spheres, each as its body, shape (n, 3)."""
+        """Return RGB bytes of all spheres, shape (n, 3); a sphere has the colour of its body."""
         return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
 
     def packed_colours(self) -> np.ndarray:
-        """Worked out of bodies, of which there are fewer."""
+        """Return the packed colours of all spheres, computed once for each body because there are fewer bodies."""
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
-        """Place of each sphere's body, in order of the spheres' permanent numbers."""
+        """Return the row index of each sphere's body, in order of the spheres' permanent numbers."""
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Of every sphere its body's number, velocity [m/s] and largest contact force [N]."""
+        """Return, for every sphere, its body's number, velocity [m/s] and largest contact force [N]."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
 
     def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Places of both spheres of every listed pair, its place in the pair arrays, its normal force [N]."""
+        """Return, for every listed pair, both sphere indices, the index in the pair arrays and the normal force [N]."""
         model, state = self.simulation.model, self.simulation.state
         force = self.once("pair forces", lambda: listed_forces(model, state))
         chunks = self.once("chunks", lambda: chunks_of(state))
@@ -131,20 +135,20 @@ class ElementDisplay(Display):
         return i, j, place, force[place]
 
     def _largest_forces(self) -> np.ndarray:
-        """On each body [N], in the order of the state's arrays."""
+        """Return the largest contact force on each body [N], in the order of the state's arrays."""
         model, state = self.simulation.model, self.simulation.state
         return self.once("largest forces", lambda: largest_forces(model, state))
 
     def body_colours(self) -> np.ndarray:
-        """RGB bytes of all bodies, shape (n, 3)."""
+        """Return RGB bytes of all bodies, in order of permanent numbers, shape (n, 3)."""
         return np.take(self._painted(), self._body_order(), axis=0)
 
     def _painted(self) -> np.ndarray:
-        """RGB bytes of all bodies, in the order of the state's arrays."""
+        """Return RGB bytes of all bodies, in the order of the state's arrays, shape (n, 3)."""
         return self.worked_out(f"{self.colouring} up to {self._upper}", lambda: on_palette(self._shown(), self._upper))
 
     def _shown(self) -> np.ndarray:
-        """What colours show of all bodies, in the order of the state's arrays."""
+        """Return the value that determines the colour of each body, in the order of the state's arrays."""
         if self.colouring == "size":
             return self.read("bodies.size").astype(float)
         if self.colouring == "speed":
@@ -152,7 +156,7 @@ class ElementDisplay(Display):
         return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
-        """Pressure on the piston, and energies."""
+        """Return the plots over time: pressure on the piston and energies."""
         pressure = Curve(
             "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
             (215, 95, 30),
@@ -161,7 +165,7 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Velocity over the radius of a pipe, and stresses along one that has stations."""
+        """Return the velocity profile across the pipe, and the stresses along it if the scene has stations."""
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -172,24 +176,27 @@ class ElementDisplay(Display):
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
-        """Middles of the slices that are full [m] and what they bear [kPa]."""
+        """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
         stations = self.simulation.scene.stations
-        if self._along is None or self._along[0] != self.time:  # all curves of a frame by one measurement
+        if self._along is None or self._along[0] != self.time:  # one measurement serves all curves of a frame
             self._along = self.time, self._along_now(stations)
         values = self._along[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
     def _along_now(self, stations: Stations) -> np.ndarray:
-        """What the last row of the series has, a hundredth of a second old at most by default, shape (slices, COLUMNS);
-        where rows do not have it, stresses of this moment, (slices, 2).
+        """Return the stresses at the stations, shape (slices, columns).
+
+        If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
+        the stresses of the present state are computed.
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # before t = 0
+        if sampler is None:  # nothing is sampled before t = 0
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
-            return self.once("stations", lambda: sampler.log.samples[-1])  # no row is written to again
+            # A recorded row never changes, so the display needs no copy of it.
+            return self.once("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
         stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
         probe, travel = simulation.scene.pressure, 0.0
@@ -203,7 +210,7 @@ class ElementDisplay(Display):
         )  # fmt: skip
 
     def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arc lengths of all bodies [m] (n,), and the axis' points [m] and tangents there, both (n, 3)."""
+        """Return arc lengths of all bodies [m], shape (n,), and axis points [m] and tangents there, shape (n, 3)."""
 
         def found() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             s = axis.along(self.read("bodies.position"))
@@ -212,15 +219,16 @@ class ElementDisplay(Display):
         return self.worked_out(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middles of rings [mm] and the mean velocity of the bodies in each along the axis [cm/s], by their volumes;
-        rings without bodies are left out.
+        """Return the mid-radii of rings about the axis [mm] and the mean axial velocity of the bodies in them [cm/s].
+
+        Bodies are weighted by volume. Rings without bodies are omitted.
         """
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # the nearest to the quantiles
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks nearest the quantiles
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
-        # Of all bodies, those beyond the ends without weight: to pick those between takes longer.
+        # Bodies outside the range get weight 0, which is faster than selecting those inside it.
         apart = position - places
         distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
@@ -232,7 +240,7 @@ class ElementDisplay(Display):
         return 1e3 * pipe.radius * (np.arange(RINGS)[there] + 0.5) / RINGS, 100 * mean
 
     def walls(self) -> list[DrawnWall]:
-        """Walls that can be drawn: endless planes cannot."""
+        """Return the walls to draw as triangle meshes; infinite planes cannot be drawn."""
         found = []
         for number in self._drawn:
             wall = self.simulation.model.walls[number]
@@ -244,14 +252,17 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """What is known of a wall's wear; None of planes, which have one patch."""
-        sampler = getattr(self.simulation, "sampler", None)  # there is none before t = 0
+        """Return the wear record of a wall; None without wear, or for a plane, which has only one patch."""
+        sampler = getattr(self.simulation, "sampler", None)  # there is no sampler before t = 0
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
         return sampler.wear.walls[number]
 
     def paint(self) -> Paint | None:
-        """Worn depth, up to a round number over that of all but the hundredth of the worn patches that is worn most."""
+        """Return the colour scale of the worn depth [nm], or None if no wall wears.
+
+        The scale ends at a round number above the depth that only one worn patch in a hundred exceeds.
+        """
         depths = [depth for number in self._drawn if (depth := self._depth(number)) is not None]
         if not depths:
             return None
@@ -260,12 +271,12 @@ class ElementDisplay(Display):
         return Paint("worn depth [nm]", WEAR_PALETTE, rounded_up(self._worn_most) if self._worn_most > 0 else 0.0)
 
     def _depth(self, number: int) -> np.ndarray | None:
-        """Worn depth of each patch of a wall [nm]; None of a wall that does not wear."""
+        """Return the worn depth of each patch of a wall [nm], or None if the wall does not wear."""
         worn = self._worn(number)
         return None if worn is None else NANOMETRES * self.once(f"wear of {number}", lambda: worn.depth)
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Of a wall that wears, the depth [nm] at its vertices."""
+        """Return the worn depth at the vertices of a drawn wall [nm], or None if the wall does not wear."""
         depth = self._depth(number := self._drawn[number])
         if depth is None:
             return None
@@ -274,7 +285,7 @@ class ElementDisplay(Display):
         return depth[self._patches[number]]
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
+        """Return the position [m], shape (3,), and the orientation quaternion (x, y, z, w) of a drawn wall."""
         number = self._drawn[number]
         return (
             self.read("walls.position").reshape(-1, 3)[number].astype(float),
@@ -282,19 +293,19 @@ class ElementDisplay(Display):
         )
 
     def rigid_bodies(self) -> RigidBodies:
-        """Shapes of the bodies."""
+        """Return the shapes and sizes of all bodies, in order of permanent numbers."""
         state, order = self.simulation.state, self._body_order()
         prototypes = tuple(Prototype(t.name, t.offsets, t.radii, t.extent) for t in state.templates)
         return RigidBodies(prototypes, state.bodies.shape.numpy()[order], state.bodies.size.numpy()[order])
 
     def pose(self) -> Pose:
-        """Where rigid bodies are."""
+        """Return positions, orientations and velocities of all bodies, in order of permanent numbers."""
         order = self._body_order()
         names = "position", "orientation", "velocity"
         return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))
 
     def network(self) -> dict[str, Lines]:
-        """Touching pairs that are not bonded, and bonds."""
+        """Return the contact network as lines: touching pairs without a bond, and bonds."""
         i, j, place, force = self._pair_forces()
         position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
@@ -312,7 +323,7 @@ class ElementDisplay(Display):
         return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
 
     def bounds(self) -> np.ndarray:
-        """Lowest and highest corner of the pipe's axis, or of all spheres, shape (2, 3) [m]."""
+        """Return the lowest and highest corner of a box around the pipe's axis or all spheres [m], shape (2, 3)."""
         pipe = self.simulation.scene.pipe
         if pipe is not None:
             points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))
@@ -324,7 +335,7 @@ class ElementDisplay(Display):
 
 
 def _places_of(numbers: np.ndarray) -> np.ndarray:
-    """Where each number stands among those from 0 on, of which every one is there once."""
+    """Return the inverse of a permutation: the index at which each number from 0 to n - 1 is stored."""
     places = np.empty(len(numbers), dtype=np.intp)
     places[numbers] = np.arange(len(numbers))
     return places

@@ -1,7 +1,8 @@
-"""What a run of discrete elements will take: measured on a quick copy of its packing, and by what packings have shown.
+"""Forecast of the time and memory that a run of discrete elements needs, measured on a cheap copy of the scene.
 
-The copy is real but for its history: a short piece of the container is packed, and repeated along the pipe. On it the
-time step is estimated as in a run, and steps, list builds and samples are timed.
+The copy has the scene's real features but a cheaper history: a short piece of the container is packed and repeated
+along the pipe. The stable time step of the copy is estimated as in a run, and its steps, neighbour list rebuilds and
+samples are timed. Constants from earlier runs supply what the copy cannot show, such as the duration of settling.
 """
 
 from __future__ import annotations
@@ -32,28 +33,31 @@ from .scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 from .stepper import Stepper
 
-LEAST = 0.1  # of wall time that goes to steps, whatever list builds seem to take
+LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
 SPENT = 0.7  # wall time for which steps are timed [s]
-MOST = {True: 400_000, False: 40_000}  # spheres of the copy, on a GPU and on a CPU; more cost as these do, each
-# How far concrete goes between two list builds, over the skin: all of it alike in a straight pipe, turning in a bend.
+# Maximum number of spheres of the copy, on a GPU (True) or a CPU (False); above it the time per sphere is constant.
+MOST = {True: 400_000, False: 40_000}
+# Distance that concrete moves between two list rebuilds, divided by the skin. The distance is shorter in a bend,
+# because neighbours move relative to each other there, while concrete in a straight pipe moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-SETTLED_BONDS = 1.2  # of a packing that has settled, over those of one that has not: 1.2 to 1.3 of those of the tests
-SETTLING_BUILDS = 1 / 40  # list builds a step while settling
-# Settling ends after so many passages of a pressure wave along the pipe, and some time that does not go by length [s].
+SETTLED_BONDS = 1.2  # number of bonds in a settled packing over that in an unsettled one; tests show 1.2 to 1.3
+SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
+# A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, BESIDES = 2.4, 0.19
-IDLE = 40_000  # spheres that a GPU steps in about twice the time of none
+IDLE = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
 
 
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings.
+    """Forecast the steps, wall time and memory of a run on a Warp `device`.
 
-    Raises what the run would raise before its first step.
+    `probe` measures the time to record one frame. Raises the same errors as the run would before its first step.
     """
     ready = _Copy(scene, device, precision, threads)
     dt, factor = ready.stepper.dt, ready.factor
     limits, governing = ready.limits()
     frames = probe(ready.simulation)
-    # Once more: other programs make steps slower, never faster, and a long run meets them less often than not.
+    # Steps are timed a second time and the shorter time counts: other programs only slow steps down, and a long run is
+    # rarely disturbed throughout.
     build, sample, step = ready.build, ready.sample, min(ready.step, ready.step_time())
     steps = scene.duration / dt
     parts: dict[str, float] = {}
@@ -88,7 +92,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
 
 def _settling_time(scene: Scene) -> float:
-    """Simulated time to rest [s], as pipes of this package's units have shown it."""
+    """Return the simulated time until the packing is at rest [s], from experience with Zhan's pipe units."""
     assert scene.settle is not None
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
@@ -97,7 +101,7 @@ def _settling_time(scene: Scene) -> float:
 
 
 class _Copy:
-    """A scene as it will be at t = 0, but for settling; of a very long one only a part."""
+    """Copy of a scene as at t = 0, but without settling; for a very long pipe only part of it."""
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
         self.scene, self.device = scene, device
@@ -128,11 +132,11 @@ class _Copy:
             precision=precision, threads=checked_threads(threads),
             progress=lambda done: marks.append(time.perf_counter()),
         )  # fmt: skip
-        # Kernels are loaded in some chunks of steps: none counts more than three times the middle one.
+        # Loading kernels prolongs some chunks of steps, so no chunk counts more than three times the median.
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # a pilot of the pilot came first
+            taken /= 2  # packing to a pressure includes a trial packing of equal size
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -150,7 +154,7 @@ class _Copy:
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
-        """Time a step, a list build and a sample."""
+        """Measure the wall times of a step, of a list rebuild and of a sample, and the memory."""
         simulation, stepper = self.simulation, self.stepper
         if self.spheres == 0:
             self.step = self.build = self.sample = 0.0
@@ -171,12 +175,12 @@ class _Copy:
             self.memory["contacts"] += (SETTLED_BONDS - 1) * load.size * wp.types.type_size_in_bytes(load.dtype)
 
     def step_time(self) -> float:
-        """Wall time of a step, list builds not among it [s]."""
+        """Measure the wall time of a step without list rebuilds [s]."""
         stepper = self.stepper
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # records graphs
+        stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, which must not be timed
         rates = []
         while spent < SPENT:
             wp.synchronize_device(self.device)
@@ -185,21 +189,21 @@ class _Copy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # While other programs run, builds may have been timed as longer than steps and builds together are.
+            # Other programs may have slowed down the timed rebuild so much that steps would get a negative time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
         return float(np.quantile(rates, 0.25))
 
     def settling_step(self) -> float:
-        """Wall time of a step before there are hydrated bonds [s]; the copy is of no use for anything else then."""
+        """Measure the wall time of a step without hydrated bonds [s]; this changes the copy, so call it last."""
         if not self.stepper.batch.subcycles.rounds:
             return self.step
         self.stepper.batch.subcycles.set_rounds(self.stepper.index, 0)
         return self.step_time()
 
     def builds(self, steps: float) -> float:
-        """List builds of the whole run."""
+        """Return the expected number of list rebuilds of a run of `steps` steps."""
         pipe, skin = self.scene.pipe, self.stepper.skin
         if pipe is None:
             return self._built * steps
@@ -207,7 +211,10 @@ class _Copy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """What the step would be by contacts alone, with each kind of bonds, with dashpots; and what governs it."""
+        """Return the time steps [s] that single features would allow, by name, and a text on what limits the time step.
+
+        The features are contacts alone, contacts with each kind of bonds, and contacts without dashpots.
+        """
         simulation, stepper, scene = self.simulation, self.stepper, self.scene
         fixed = scene.time_step.fixed
         safety = scene.time_step.safety
@@ -229,7 +236,7 @@ class _Copy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            subcycles.set_rounds(stepper.index, 0)  # bounds of all else are told as they are without
+            subcycles.set_rounds(stepper.index, 0)  # estimate the other bounds as without sub-cycling
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):
@@ -237,7 +244,7 @@ class _Copy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # beside the others, which they were before
+                if name == "hydrated bonds":  # keep the ordinary bonds that did not hydrate
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0
@@ -277,12 +284,12 @@ class _Copy:
 
     @property
     def _springs_differ(self) -> bool:
-        """Some law has dashpots that can be told apart from its springs."""
+        """Whether some contact law has dashpots that can be removed while its springs remain."""
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
 
     def _undamped(self) -> float:
-        """Estimate of the step without dashpots, bonds left out."""
+        """Return the stable step of the contacts' springs alone, without dashpots and bonds [s]."""
         scene = replace(
             self.simulation.scene, contact=_springs(self.scene.contact),
             contacts={pair: _springs(law) for pair, law in self.scene.contacts.items()},
@@ -297,7 +304,7 @@ class _Copy:
         return stepper.estimate()
 
     def _smallest(self) -> str:
-        """Which bodies have the least mass for what holds them: those bound the step."""
+        """Return a text on the lightest bodies, which limit the time step because they oscillate fastest."""
         spheres = self.simulation.state.spheres.position.numpy()[:, 3]
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))
@@ -307,7 +314,8 @@ class _Copy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Bodies of the first `period` of a pipe [m], repeated up to `length` [m]."""
+    """Repeat the bodies of the first `period` [m] of a pipe along its `axis` up to `length` [m]."""
+    # A body keeps its offset from the axis in the local frame (tangent, normal, binormal), so copies follow bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])
@@ -330,7 +338,7 @@ def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTab
 
 
 def _springs(law: ContactLaw) -> ContactLaw:
-    """A law without its dashpots."""
+    """Return a copy of a contact law without dashpots, that is, with damping ratios of 0."""
     changes: dict[str, Any] = {}
     for each in dataclasses.fields(law):  # type: ignore[arg-type]
         value = getattr(law, each.name)
@@ -342,7 +350,7 @@ def _springs(law: ContactLaw) -> ContactLaw:
 
 
 def _memory(simulation: ElementSimulation) -> dict[str, float]:
-    """Device memory by part [B]."""
+    """Return the device memory used by each part of a simulation [B]."""
     state, stepper = simulation.state, simulation.stepper
     roots = {
         "bodies": state.bodies, "spheres": state.spheres, "walls": (state.slots, state.walls, simulation.model),
@@ -352,7 +360,7 @@ def _memory(simulation: ElementSimulation) -> dict[str, float]:
 
 
 def _features(simulation: ElementSimulation) -> dict[str, str]:
-    """What is compiled in and why, in words."""
+    """Return, for each feature of the kernels, a text that says why it is compiled in, or "left out"."""
     f, scene = simulation.model.features, simulation.scene
     bonds = [name for name, there in (("bonds between aggregates", scene.bonds), ("hydrated bonds", scene.hydration))
              if there] + [f"bonds of {group}" for group in scene.group_bonds]  # fmt: skip

@@ -1,10 +1,11 @@
-"""How high, wide and far a heap of spheres is: what tests of fresh concrete read off, robustly.
+"""Measure the height and spread of a heap of spheres robustly, as tests of fresh concrete require.
 
-A heap of stones has no smooth surface, and loose ones roll away from it. So heights are read as a scanner sees the
-surface from above: on a grid of vertical rays, each with the highest point of a sphere that it meets, means over areas
-of several stones. Width is that of the main body, what is left when stones are dropped that lie apart from it by an
-empty cell as wide as the largest of them: one runaway stone would else decide. The same ways read the first state and
-the last: what the roughness of the surface does to a height falls out of a difference.
+A heap of aggregates has no smooth surface, and single aggregates roll away from it. Heights are therefore measured like
+a laser scan from above: each ray of a vertical grid finds the highest point of any sphere, and heights are averaged
+over areas wider than several aggregates. The spread is that of the main body only, because one stray aggregate would
+otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate, separates
+it from the main body. The same method measures the first and the last state, so the effect of surface roughness cancels
+in a slump.
 """
 
 from __future__ import annotations
@@ -12,18 +13,19 @@ from __future__ import annotations
 import numpy as np
 
 FINE = 0.25
-"""Distance of the rays over the largest radius."""
+"""Distance between the vertical rays, divided by the largest sphere radius."""
 DIRECTIONS = 36
-"""Into which the reach of a heap is measured; means over fewer depend on where stones lie."""
+"""Number of directions in which the spread is measured; with fewer the mean depends on where single aggregates lie."""
 
 Range = tuple[float, float]
 
 
 def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights of the surface over a rectangle [m], at the middles of cells of about the side `cell`.
+    """Return the heights of the surface over a rectangle [m], at the centres of cells with about the side `cell` [m].
 
-    `spheres` are rows of centre and radius [m], shape (n, 4). Returns the middles' x and y and the heights, shapes
-    (nx, 1), (1, ny), (nx, ny); a height is -inf where there is no sphere.
+    `spheres` has rows of centre and radius [m], shape (n, 4); `x` and `y` are the ranges of the rectangle [m]. Returns
+    x and y of the cell centres and the heights, with shapes (nx, 1), (1, ny) and (nx, ny). A height is -inf where there
+    is no sphere.
     """
     low, high = np.array([x[0], y[0]]), np.array([x[1], y[1]])
     count = np.maximum(np.ceil((high - low) / cell - 1e-9).astype(int), 1)
@@ -48,16 +50,20 @@ def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.nd
 
 
 def main_body(spheres: np.ndarray) -> np.ndarray:
-    """Which spheres belong to the main body, shape (n,): cells as wide as the largest sphere that touch by a side or a
-    corner, in plan, from the one with most spheres on."""
+    """Return a mask of the spheres that belong to the main body, shape (n,).
+
+    The plan view is divided into cells as wide as the largest sphere. The main body occupies the cell with the most
+    spheres and all occupied cells connected to it by sides or corners.
+    """
     side = 2 * float(spheres[:, 3].max())
     place = np.floor((spheres[:, :2] - spheres[:, :2].min(0)) / side).astype(int) + 1
-    # A stone that rolled far away alone needs no grid up to where it lies.
+    # Clip the cell indices, so that an aggregate that rolled far away cannot overflow the cell numbers.
     place = np.minimum(place, 1 + 4 * len(spheres))
     row = int(place[:, 1].max()) + 1
     keys, cell, count = np.unique(place[:, 0] * row + place[:, 1], return_inverse=True, return_counts=True)
     corners = np.stack(np.divmod(keys, row), 1).tolist()
     number = {(a, b): n for n, (a, b) in enumerate(corners)}
+    # A flood fill starts at the cell with the most spheres and visits all occupied cells connected to it.
     first = int(np.argmax(count))
     found, waiting = {first}, [first]
     while waiting:
@@ -71,19 +77,19 @@ def main_body(spheres: np.ndarray) -> np.ndarray:
 
 
 def spread(spheres: np.ndarray) -> float:
-    """Mean diameter of a heap about x = y = 0 [m]: mean of any two that are perpendicular, over all directions.
+    """Return the mean diameter of a heap about x = y = 0 [m], averaged over all directions.
 
-    In each direction the heap reaches to the last place from which a sphere is met, above or below. `spheres` have the
-    shape (n, 4), n > 0.
+    The tests of fresh concrete average two perpendicular diameters. In each direction the heap extends to the outermost
+    point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # What the outermost reach in every direction decides which of the others can reach further in any.
+    # The heap extends at least this far in every direction, so spheres that end nearer to the origin can be skipped.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 
 
 def _reaches(spheres: np.ndarray) -> np.ndarray:
-    """From x = y = 0 [m], in each direction."""
+    """Return the distance from x = y = 0 to the edge of the heap in each direction [m], shape (DIRECTIONS,)."""
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     out = np.stack([np.cos(angle), np.sin(angle)])
     along = spheres[:, :2] @ out
@@ -94,23 +100,26 @@ def _reaches(spheres: np.ndarray) -> np.ndarray:
 
 
 def height_at(spheres: np.ndarray, x: Range, y: Range) -> float:
-    """Mean height of the surface over a rectangle [m]; what no sphere covers counts as 0."""
+    """Return the mean height of the surface over a rectangle [m]; places without a sphere count as height 0."""
     _, _, height = surface(spheres, x, y, FINE * float(spheres[:, 3].max()))
     return float(np.mean(np.maximum(height, 0.0)))
 
 
 def height_of_top(spheres: np.ndarray, radius: float) -> float:
-    """Mean height of the surface within a radius of x = y = 0 [m]; what no sphere covers counts as 0."""
+    """Return the mean surface height within `radius` of x = y = 0 [m]; places without a sphere count as height 0."""
     return height_around(spheres, 0.0, radius)
 
 
 def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
-    """Mean height of the surface between two radii about x = y = 0 [m]; what no sphere covers counts as 0."""
+    """Return the mean surface height between two radii about x = y = 0 [m]; places without a sphere count as 0."""
     x, y, height = surface(spheres, (-outer, outer), (-outer, outer), FINE * float(spheres[:, 3].max()))
     square = x**2 + y**2
     return float(np.mean(np.maximum(height[(square >= inner**2) & (square <= outer**2)], 0.0)))
 
 
 def shadow(spheres: np.ndarray, x: float, y: float, cell: float) -> float:
-    """Part of the rectangle |x| < x, |y| < y [m] that spheres cover as seen from above or below."""
+    """Return the fraction of a rectangle that spheres cover in plan view.
+
+    The rectangle is centred at the origin and has the half-widths `x` and `y` [m]; rays lie `cell` [m] apart.
+    """
     return float(np.mean(np.isfinite(surface(spheres, (-x, x), (-y, y), cell)[2])))

@@ -1,4 +1,4 @@
-"""The arrays of scenes of a batch, joined end to end: states become slices of them, models follow one another."""
+"""Device arrays of a batch, in which the arrays of all scenes are joined end to end."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ from .links import carry_links, even_pairs, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # of a list: places are 32-bit numbers
+MAXIMUM_ENTRIES = 2**31 - 2**20  # maximum length of a list, whose indices are 32-bit integers
 FULL = 0.9
-"""Of its room, from which on a scene is given more when another of the batch needs some: all that a batch has recorded
-is made anew each time."""
+"""Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
+
+Growing arrays discards all recorded launches of the batch, so scenes that will soon need more room grow at the same
+time.
+"""
 
 
 class JointArrays:
-    """What a batch of scenes with the same features holds on its device."""
+    """Device arrays of a batch of scenes with the same features."""
 
     flags: wp.array
-    """Of all scenes, as that of a :class:`State`."""
+    """Control flags of all scenes, shape (scenes, FLAGS)."""
     scenes: Any
-    """Joint arrays of all scenes, as those of a :class:`State`: structs of `kernels/dem/structs.py`."""
+    """Clocks and parameters of all scenes, a struct of `kernels/dem/structs.py`, as are the next six attributes."""
     bodies: Any
     spheres: Any
     slots: Any
@@ -41,36 +44,36 @@ class JointArrays:
     candidates: Any
     walls: Any
     corners: wp.array
-    """Of all meshes, each in its wall's frame [m], shape (corners,)."""
+    """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
     faces: wp.array
-    """Corners of each triangle, shape (faces, 3)."""
+    """Corner indices of each triangle, shape (faces, 3)."""
     across: wp.array
-    """As that of :class:`Surfaces`, as the next two; shape (faces, 6)."""
+    """Neighbours of each triangle across its edges, as in :class:`Surfaces`, shape (faces, 6)."""
     ring_start: wp.array
-    """First entry of each row in `ring`, and the end, shape (rows + 1,)."""
+    """First entry of each row of `ring`, and the end of the last row, shape (rows + 1,)."""
     ring: wp.array
-    """Triangles and corners around each corner, and around edges of three or more triangles."""
+    """Triangles and corners around each corner, and around each edge of three or more triangles, end to end."""
     face_wall: wp.array
-    """Wall that a triangle belongs to, shape (faces,)."""
+    """Index of the wall of each triangle, shape (faces,)."""
     pair_parameters: wp.array
-    """Contact laws between bodies, of all scenes one after the other; as the next five those of a :class:`Model`."""
+    """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
     wall_parameters: wp.array
-    """Contact laws of bodies with walls."""
+    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     bond_parameters: wp.array
-    """Kinds of bonds."""
+    """Parameters of the kinds of bonds, for all scenes end to end."""
     segments: wp.array
-    """Pieces of the axes of pipes and drives."""
+    """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
     drive_axis: wp.array
-    """First segment of each group's axis, and the end, shape (groups, 2)."""
+    """First and end index of the segments of each group's axis, shape (groups, 2)."""
     drive_force: wp.array
-    """On each body of a group, along that axis [N], shape (groups,)."""
+    """Driving force on each body of a group along that axis [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`."""
     slot_scene: wp.array
-    """Scene of every entry of `pairs.start`, shape (spheres + scenes,)."""
+    """Scene index of every entry of `pairs.start`, shape (spheres + scenes,)."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
-        """The arrays of `states[s]` become slices; forces on walls have room for so many `threads`."""
+        """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
         model = models[0]
         self.models, self.states = models, states
         self.features, self.scalar, self.device = model.features, model.scalar, model.device
@@ -84,11 +87,11 @@ class JointArrays:
         if self.parallel:
             even_pairs(states)
         self.capacity = np.array([len(s.pairs.other) for s in states])
-        """Entries that there is room for in the pair arrays, of each scene."""
+        """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
-        """Likewise of the mesh candidates."""
+        """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Likewise of the loads of bonds, unless contacts heal: then all entries have some."""
+        """Allocated number of each scene's bond loads; unused if contacts heal, because then every pair has a load."""
         self._join_states()
         self._join_models()
         self._place_pairs()
@@ -96,10 +99,10 @@ class JointArrays:
 
     @abstractmethod
     def invalidate_graphs(self) -> None:
-        """Arrays have become others: whoever launches kernels on them must know."""
+        """Discard recorded launches, because arrays have been replaced."""
 
     def _join_states(self) -> None:
-        """Joint arrays; those of the states become slices of them. What only a batch has begins as zero."""
+        """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
         for struct in STRUCTS:
             setattr(self, struct, getattr(self.structs, struct.capitalize())())
         for struct, names in state_fields(self.structs).items():
@@ -116,14 +119,14 @@ class JointArrays:
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
     def _join(self, parts: list[Any], name: str) -> wp.array:
-        """One array of those that the parts have under a name; theirs become slices of it."""
+        """Join the arrays `name` of all parts and replace them by slices of the joint array."""
         arrays = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
             return arrays[0]
         joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
-            if array.size:  # without walls rows have no columns
+            if array.size:  # arrays of a scene without walls may have no columns
                 view = joint[first : first + len(array)]
                 wp.copy(view, array)
                 setattr(part, name, view)
@@ -175,7 +178,7 @@ class JointArrays:
         self.face_wall = self._array(surfaces.owner(), wp.int32)
 
     def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
-        """Numbers of a scene's row that never change."""
+        """Set the constants in the parameter row of scene `s`; `still` says that no plane or pipe ever moves."""
         row = self.rows
         row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
         row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
@@ -189,7 +192,7 @@ class JointArrays:
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
     def _chained(self, arrays: list[wp.array]) -> wp.array:
-        """Arrays that never change, end to end."""
+        """Return the arrays joined end to end; they are constants, so a single one is shared, not copied."""
         if len(arrays) == 1:
             return arrays[0]
         joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
@@ -209,8 +212,8 @@ class JointArrays:
         return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
 
     def set(self, s: int, **numbers: Any) -> None:
-        """Change numbers of a scene's row."""
-        if numbers.items() <= self._given[s].items():  # asked again and again by a scene on its way
+        """Change parameters in the row of scene `s`, by the names of `SceneRow`."""
+        if numbers.items() <= self._given[s].items():  # scenes often repeat the same settings
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
@@ -226,29 +229,36 @@ class JointArrays:
         self.scenes.row.assign(self.rows)
 
     def reserve_pairs(self, wanted: np.ndarray) -> None:
-        """Room for at least `wanted` pairs a scene; what the pair arrays hold stays."""
+        """Enlarge the pair arrays to at least `wanted` entries for each scene; their contents are kept.
+
+        Raises :class:`CapacityError` if the arrays would be too long.
+        """
         if not np.any(wanted > self.capacity):
             return
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
         if self.features.healing and np.any(wanted > MOST_ROWS):
             raise CapacityError(f"bonds = {wanted.max()} listed pairs that may bond: at most {MOST_ROWS} in one scene")
         before, old = self.links, self.capacity.copy()
-        before.pull = None  # what touches is written anew before it is read, and takes most of the memory
+        # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
+        before.pull = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
         if self.parallel:
             carry_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Room for the loads of at least so many bonds of a scene; and, since they will bond, too, of those that have
-        not yet for as many by their size."""
+        """Enlarge the bond loads to at least `wanted` rows for scene `s`.
+
+        Scenes without bonds will probably create theirs soon, so they get room in proportion to their number of
+        spheres.
+        """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
         each[s] = wanted
         self._regrow("pairs", ["load"], self.load_capacity, each)
 
     def reserve_faces(self, wanted: np.ndarray) -> None:
-        """Room for at least `wanted` mesh candidates a scene."""
+        """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
         self._regrow("candidates", ["face"], self.face_capacity, wanted)
 
     def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
@@ -257,10 +267,11 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        if struct == "pairs" and self.features.healing:  # each entry is the row of a load, of which so many can be told
+        if struct == "pairs" and self.features.healing:  # every entry has a numbered row of load
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # What a GPU's links give, each two entries, has four rows at most.
+        # On a GPU, two entries share a link with up to four rows of results, so there are twice as many rows as
+        # entries.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
@@ -273,7 +284,7 @@ class JointArrays:
                     wp.copy(after, before, int(new[s]), int(old[s]), kept)
                 view = after
                 if self.count > 1:
-                    empty = new[s] == new[s + 1]  # Warp slices none out of nothing
+                    empty = new[s] == new[s + 1]  # Warp cannot slice an empty array
                     view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
                 setattr(getattr(state, struct), name, view)
             setattr(getattr(self, struct), name, after)

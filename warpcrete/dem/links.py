@@ -1,4 +1,8 @@
-"""Room for what a GPU evaluates of each pair: a struct `Links`, beside the lists of a batch."""
+"""Allocate the struct `Links`, in which a GPU stores one link for each pair of the neighbour lists.
+
+The lists of a GPU contain every pair twice, once for each sphere. A link stands for the pair, so that its contact force
+is computed once and then read by both spheres.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from .state import State, pair_bytes
 
 
 def even_pairs(states: list[State]) -> None:
-    """Give lists even room: a full one holds every pair twice, and links begin at half a scene's first entry."""
+    """Make the length of all pair arrays even, because two list entries, one for each sphere, share one link."""
     for state in states:
         for name in pair_bytes(state.model):
             array = getattr(state.pairs, name)
@@ -25,12 +29,12 @@ def even_pairs(states: list[State]) -> None:
 
 
 def rows_of(features: Any) -> int:
-    """Rows of four numbers that a link gives in a scene with these features."""
+    """Return the number of result rows of a link, of four numbers each, for these features."""
     return pull_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
 def make_links(batch: Any) -> Any:
-    """Links with as much room as the lists of a :class:`Batch` have; no pair is known yet. A CPU has none."""
+    """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
@@ -47,16 +51,20 @@ def make_links(batch: Any) -> Any:
         for s in range(1, batch.count):
             if first[s] < first[s + 1]:
                 links.scene[first[s] : first[s + 1]].fill_(s)
-        links.outrun.fill_(1)  # near links are chosen when lists have been built
+        # Mark the near links, the pairs close enough to touch soon, as not selected yet.
+        links.outrun.fill_(1)
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
 
 
 def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
-    """Copy the pairs of each scene to where they are in lists of more room; `old` and `capacity` are entries each."""
+    """Copy the links of each scene into enlarged arrays.
+
+    `old` and `capacity` are the numbers of list entries of each scene before and after, shape (scenes,).
+    """
     wp.copy(links.more, before.more)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("touched", 1), ("end", 2)):  # of each
+    for name, entries in (("link", 1), ("touched", 1), ("end", 2)):  # array and its number of elements per link
         target, source = getattr(links, name), getattr(before, name)
         for s in np.flatnonzero(old):
             wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

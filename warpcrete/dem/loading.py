@@ -1,4 +1,4 @@
-"""Compiles what a batch is going to launch, all at once, before its first launch."""
+"""Compile all kernels of a batch in parallel before its first launch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .stages import step_stages
 
 
 def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
-    """Compile the kernels of steps, lists, estimates, samples and bonds, or read them from the cache."""
+    """Compile the kernels of steps, lists, estimates, samples and bonds, or load them from the cache."""
     batch = lists.batch
     if batch.sphere_count:
         steps = [stage for part in step_stages(batch) for stage in part]
@@ -26,7 +26,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 
 
 def _others(batch: Batch) -> list[Any]:
-    """Kernels that are launched now and then."""
+    """Return the kernels that are launched occasionally: those of samples, bonds and the copy of spheres to bodies."""
     f, scalar = batch.features, batch.scalar
     found = [
         probes.body_probe(scalar),

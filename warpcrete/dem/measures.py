@@ -1,4 +1,7 @@
-"""What is measured of concrete in a vessel, by the names that flows have for the same, and what a test comes to."""
+"""Measurements of concrete in a test vessel, and the test results derived from them.
+
+The names of columns and results are the same as in the flow method.
+"""
 
 from __future__ import annotations
 
@@ -24,25 +27,26 @@ UNITS = {
     "fastest": "m/s",
     "mean_speed": "m/s",
 }
-"""Of the columns of a row; a test has those that it needs."""
+"""Units of the recorded columns; each test records only the columns that it needs."""
 T500 = 0.5
-"""Spread whose time is told [m] (EN 12350-8)."""
+"""Spread whose time T500 is reported [m] (EN 12350-8)."""
 LIGHT = 0.5
-"""Part of a funnel's outlet that stones may still darken when light is seen through it."""
+"""Covered fraction of a funnel's outlet below which light counts as seen through it, which ends the test."""
 HEAPS = ("slump", "jring")
-"""Tests that leave a heap on a plate."""
+"""Tests that end with a heap of concrete on a plate."""
 RESTED = 1.0
-"""Simulated time over which concrete must be slow to be at rest [s]."""
+"""Simulated time for which concrete must be slow to count as being at rest [s]."""
 BESIDE = 0.025
-"""Width of the area around a ring of bars over which the height outside is a mean [m]."""
+"""Width of the annulus around the J-ring over which the height outside the ring is averaged [m]."""
 FAR_END = 0.05
-"""Length of a box over which the depth at its far end is a mean [m]."""
+"""Length at the far end of an L-box over which the depth is averaged [m]."""
 
 
 def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[str, float]:
-    """Columns of a row: `spheres` are centres and radii [m], shape (n, 4), n > 0, `velocity` begins with theirs [m/s].
+    """Return the measured columns of one sample, by name.
 
-    Speeds are those of the main body; a stone that left it may roll for long.
+    `spheres` has rows of centre and radius [m], shape (n, 4), n > 0; the first three columns of `velocity` are their
+    velocities [m/s]. Speeds are those of the main body, because a stray aggregate may roll for a long time.
     """
     spheres = spheres.astype(float)
     speed = np.linalg.norm(velocity[:, :3].astype(float), axis=1)
@@ -60,7 +64,7 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
         here = main_body(spheres)
         body = spheres[here]
         if vessel.test in HEAPS:
-            # Half of the mould's top: of a heap that stands the whole of it is one height.
+            # The height is averaged over half the diameter of the mould's top, where a stiff heap stays level.
             found = {"top": height_of_top(body, size["top_diameter"] / 4), "spread": spread(body)}
             if vessel.test == "jring":
                 ring = 0.5 * (size["ring_diameter"] + size["bar_diameter"])
@@ -76,7 +80,7 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 
 
 def _box(spheres: np.ndarray, size: Any) -> dict[str, float]:
-    """Depth just behind the gate and at the far end of an L-box, and how far the front has come from the gate [m]."""
+    """Return the depths behind the gate and at the far end of an L-box, and the front's distance from the gate [m]."""
     gate, half = size["column_width"], size["width"] / 2
     return {
         "near_depth": height_at(spheres, (0.5 * gate, gate), (-half, half)),
@@ -86,7 +90,7 @@ def _box(spheres: np.ndarray, size: Any) -> dict[str, float]:
 
 
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Whether the main body has been slow for a second after nothing held it any more; a funnel never rests."""
+    """Return whether the main body has been slow for `RESTED` seconds since its release; always False for a funnel."""
     now = rows[-1]["time"]
     if vessel.test == "funnel" or now < vessel.opened + RESTED:
         return False
@@ -94,19 +98,22 @@ def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Whether a run has found what it is for: concrete at rest, or light seen through a funnel."""
+    """Return whether the test is over: the concrete is at rest, or light is seen through the funnel."""
     if "screen" not in rows[-1]:
         return at_rest(vessel, rows)
     return rows[-1]["screen"] < LIGHT and rows[-1]["time"] > vessel.opened
 
 
 def _of(of: Any, *tests: str) -> Any:
-    """Of runs of these tests, and of nothing else."""
+    """Return a function that evaluates `of` for runs of the given tests and returns None for all other runs."""
     return lambda k: of(k) if k.scene.vessel is not None and k.scene.vessel.test in tests else None
 
 
 def _when(k: Any, name: str, value: float, falls: bool = False) -> float | None:
-    """When a column first passes a value [s]; None if it does not."""
+    """Return the time at which a column first passes `value` [s], interpolated linearly; None if it never does.
+
+    With `falls` the column must fall to the value instead of rising to it.
+    """
     time, column = k.series["time"], k.series[name]
     if falls:
         column, value = -column, -value
@@ -147,5 +154,8 @@ QUANTITIES = (
     Quantity("strays", "1", lambda k: None if k.scene.vessel is None or k.scene.vessel.test == "funnel"
              else 1 - float(k.series["main_body"][-1])),
 )  # fmt: skip
-"""The slump is counted from the height at the start, measured in the same way: the roughness of the surface, and what
-the concrete sank in the mould, are no slump."""
+"""Results of the tests.
+
+The slump is the difference of the heights at the start and at the end, measured in the same way. The roughness of the
+surface and the settlement of the concrete in the mould therefore do not count as slump.
+"""

@@ -1,4 +1,4 @@
-"""How much memory a run takes, checked before it is taken."""
+"""Estimate the device memory of a run, and check it before the arrays are allocated."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
-BONDED = 4  # pairs a sphere that are bonded, in a dense packing, room for growth included
-LISTED = 8  # pairs a sphere in a half list of a dense packing, room for growth included; twice that in a full one
+BONDED = 4  # bonded pairs per sphere in a dense packing, including reserve for growth
+LISTED = 8  # pairs per sphere in a half list of a dense packing, including reserve; twice as many in a full list
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Memory of a body without its spheres, and of a sphere with its listed pairs [B]; `table` has a body or more."""
+    """Return the memory of a body without spheres, and of a sphere with its listed pairs [B].
+
+    `table` must contain at least one body.
+    """
     one = BodyTable(
         *(getattr(table, name)[:1] for name in ("position", "orientation", "velocity", "spin", "size", "template")),
         table.density[:1], table.material[:1], table.group[:1], table.templates,
@@ -37,30 +40,32 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = LISTED if model.features.half_list else 2 * LISTED
     pair = sum(pair_bytes(model).values())
     scalar = wp.types.type_size_in_bytes(model.scalar)
-    # Besides the state: the list before (for history), row starts and grid, the estimate's sums, the probes' rows.
+    # In addition to the state: the previous neighbour list (for contact history), its row starts, and the cell grid.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    if model.features.bonds and not model.features.healing:  # else with the list; half lists have two rows for each
+    # With healing, every list entry has a load, which is counted above. In a half list every bond has two rows of load.
+    if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDED * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # what a search finds, and where
+        listing += 4 * listed + 4  # neighbours found by the search, and the index of the first
     else:
-        listing += 4 * MOST_KEPT  # what a search finds
-        # Links, each two entries of a list: the pair, its scene and state, the pair again where near; its place at both
-        # entries; what it gives; where a sphere was when near ones were chosen, and bits of what touches it.
+        listing += 4 * MOST_KEPT  # neighbours found by the search, at most MOST_KEPT
+        # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
+        # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
+        # that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(MORE)
     if model.features.subcycling and model.scene.hydration is not None:
-        # Three pairs a sphere at most, as many of them stiff as are hydrated; bodies that have some.
+        # Sub-cycled pairs and bodies: a sphere has at most three pairs, of which the hydrated fraction is stiff.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # where it was last clear of walls
+        listing += 4 * scalar  # position of the sphere when its distance to walls was last measured
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 
 
 def memory_needed(model: Model, table: BodyTable) -> float:
-    """Estimate of all that a run with these bodies takes on the device [B]."""
+    """Return an estimate of the device memory that a run with the bodies of `table` needs [B]."""
     if len(table) == 0:
         return 0.0
     body, sphere = bytes_per_body(model, table)
@@ -69,7 +74,7 @@ def memory_needed(model: Model, table: BodyTable) -> float:
 
 
 def check_memory(model: Model, table: BodyTable) -> None:
-    """Raise :class:`CapacityError` if the bodies do not fit the device's free memory."""
+    """Raise :class:`CapacityError` if the bodies do not fit into the device's free memory."""
     needed, free = memory_needed(model, table), memory_free(model.device)
     if needed > MEMORY_FRACTION * free:
         fitting = int(len(table) * MEMORY_FRACTION * free / needed)

@@ -1,4 +1,4 @@
-"""Discrete elements, as the rest of the program sees them."""
+"""Interface of the discrete element method to the rest of the program."""
 
 from ..core.method import Method
 from .batch_run import run_batch

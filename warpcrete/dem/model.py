@@ -1,4 +1,4 @@
-"""Scene -> Model: what never changes during a run, on a device, and the features the scene needs."""
+"""Translate a scene to a model: the constant arrays of a run on a device, and the features that the scene needs."""
 
 from __future__ import annotations
 
@@ -23,94 +23,98 @@ from .scene import MUCH_STIFFER, Bonds, Scene
 
 @dataclass(frozen=True)
 class Features:
-    """What the scene needs; stages are chosen and kernels specialised by it."""
+    """Features that a scene needs; they determine the stages of a step and the specialisation of kernels."""
 
     pair_law: type[ContactLaw]
-    """Of contacts between bodies."""
+    """Contact law between bodies."""
     wall_law: type[ContactLaw]
-    """Of contacts with walls."""
+    """Contact law between bodies and walls."""
     mixed: bool
-    """Bodies are of several materials."""
+    """Whether bodies have several materials."""
     history: bool
-    """Contacts between bodies remember their shear."""
+    """Whether contacts between bodies store a shear history."""
     bonds: bool
-    """Some contacts are, or may come to be, bonded."""
+    """Whether contacts are bonded or may become bonded."""
     healing: bool
-    """Contacts bond when they touch."""
+    """Whether new contacts bond on touching."""
     subcycling: bool
-    """Stiff bonds are stepped in rounds within a step."""
+    """Whether stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """Some bodies have several spheres, or are to be moved as if they had."""
+    """Whether bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
     rotation: bool
-    """Bodies can turn; single spheres without friction or bonds cannot."""
+    """Whether bodies rotate; single spheres without friction, shear damping and bonds do not."""
     drives: bool
-    """Forces act along a pipe's axis on groups of bodies."""
+    """Whether forces along a pipe's axis act on groups of bodies."""
     walls: bool
     analytic: bool
-    """Planes or pipes are among the walls."""
+    """Whether there are planes or pipes among the walls."""
     meshes: bool
     strokes: bool
-    """Some wall stops on its way."""
+    """Whether the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
-    """A layer on the walls grows at rest and is worn off."""
+    """Whether the lubrication layer on the walls gains strength at rest, which slip then wears off."""
     growth: bool
-    """Sizes grow while bodies are packed."""
+    """Whether the sizes of bodies grow, as during packing."""
     half_list: bool
-    """Pairs inside a thread's chunk stand once in the lists (CPU); else at both spheres (GPU)."""
+    """Whether neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
     dissipation: bool
-    """Dissipated energy is added up."""
+    """Whether dissipated energy is summed up."""
     wear: bool
-    """What contacts do to walls is added up."""
+    """Whether the wear of walls by contacts is summed up."""
 
 
 @dataclass(frozen=True, repr=False)
 class Model:
-    """A scene's fixed arrays on a device. Nothing here changes once it is built."""
+    """Constant arrays of a scene on a device; nothing changes after construction."""
 
     scene: Scene
     device: Any
     scalar: Any
-    """`wp.float32` or `wp.float64`."""
+    """Floating-point type of the kernels, `wp.float32` or `wp.float64`."""
     features: Features
     materials: tuple[str, ...]
     groups: tuple[str, ...]
-    """Name of each group number; 0 is no group."""
+    """Name of each body group, by group number; number 0 means no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of bond numbers 1, 2, ...; those grown at rest come last."""
+    """Properties of the bond kinds 1, 2, ...; bonds that gained strength at rest are the last kind."""
     walls: tuple[Wall, ...]
-    """The scene's walls in device order: planes and pipes first."""
+    """Walls of the scene in device order: planes and pipes first, then meshes."""
     analytic_walls: int
-    """How many of them are planes and pipes."""
+    """Number of planes and pipes among the walls."""
     pair_parameters: wp.array
-    """Parameters of `features.pair_law`, a row for each pair of materials, shape (m * m,)."""
+    """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
     wall_parameters: wp.array
-    """Parameters of `features.wall_law`, likewise; the body's material first, shape (m * m,)."""
+    """Parameters of `features.wall_law`, one row for each pair of a body's and a wall's material, shape (m * m,)."""
     bond_parameters: wp.array
-    """Parameters of the bond kinds; row 0 is none, shape (kinds + 1,)."""
+    """Parameters of the bond kinds, shape (kinds + 1,); row 0 means no bond."""
     wall_table: wp.array
-    """What each wall is, shape (walls,), one row that nobody reads if there is none."""
+    """Properties of each wall, shape (walls,); without walls it has one unused row."""
     rest_position: wp.array
-    """Of each wall at the start [m], shape (walls,)."""
+    """Position of each wall at the start [m], shape (walls,)."""
     segments: wp.array
-    """Lines and arcs of all pipe axes, shape (segments,), one that nobody reads if there is none."""
+    """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: wp.array
-    """First segment of each group's axis, and the end; both 0 without a drive, shape (groups, 2)."""
+    """First and end index of the segments of each group's axis, shape (groups, 2); both 0 without a drive."""
     drive_force: wp.array
-    """On each body of a group, along that axis [N], shape (groups,)."""
+    """Driving force on each body of a group along that axis [N], shape (groups,)."""
     meshes: tuple[Any, ...]
-    """Keeps the ``wp.Mesh`` objects alive."""
+    """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
 
     def __repr__(self) -> str:
         return f"<Model of scene {self.scene.name!r} on {self.device}: {len(self.walls)} walls>"
 
     @property
     def stress_scale(self) -> float:
-        """Largest stress scale of the scene's contact laws [Pa]."""
+        """Largest stress scale of all contact laws of the scene [Pa]."""
         return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
 
 def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = False) -> Model:
-    """Arrange a scene for a device. `growth` prepares for packing, where sizes grow during the run."""
+    """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").
+
+    `growth` prepares for packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
+    contact laws, bonds or materials that the kernels cannot handle.
+    """
     scalar = scalar_of(precision)
     analytic = [wall for wall in scene.walls if not isinstance(wall, MeshWall)]
     meshes = [wall for wall in scene.walls if isinstance(wall, MeshWall)]
@@ -124,7 +128,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
     bond_kinds = _bond_kinds(scene)
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     subcycling = not growth and subcycled(scene)
-    # Bodies then hold the velocity of a round, and their spheres the mean over the step.
+    # With sub-cycling, a body has the velocity of a round while its spheres have the mean velocity over the step.
     clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=type(pair_laws[0]),
@@ -173,9 +177,12 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
 
 
 def subcycled(scene: Scene) -> bool:
-    """Whether hydrated bonds are stepped in rounds of their own: they are there, much stiffer than all else, and
-    nobody asked for single steps. Local damping goes by the sum of all forces, which no part of a step knows; rounds
-    know no resistance to rolling."""
+    """Return whether hydrated bonds are sub-cycled, that is, integrated with several shorter rounds in each step.
+
+    This is so if the scene has hydrated bonds much stiffer than everything else, or if it requests more than one round.
+    Local damping excludes sub-cycling, because it depends on the sum of all forces, which is not known within a round.
+    Rolling resistance excludes sub-cycling, because the rounds do not implement it.
+    """
     hydration, rounds = scene.hydration, scene.time_step.rounds
     if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
         return False
@@ -187,19 +194,19 @@ def subcycled(scene: Scene) -> bool:
 
 
 class _Axes:
-    """Pipe axes as segments, one after the other."""
+    """Collector of pipe axes as segments, end to end."""
 
     def __init__(self) -> None:
         self._segments: list[dict] = []
 
     def add(self, axis: Axis) -> tuple[int, int]:
-        """Range of an axis' own segments."""
+        """Add the segments of `axis` and return their first and end index."""
         first = len(self._segments)
         self._segments.extend(axis.parametrised())
         return first, len(self._segments)
 
     def rows(self, scalar: Any, device: Any) -> wp.array:
-        """All segments on a device."""
+        """Return all segments as an array of structs on a device."""
         Segment = axis_functions(scalar).Segment
         rows = []
         for s in self._segments:
@@ -215,7 +222,7 @@ class _Axes:
 def _wall_rows(
     walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Any, device: Any
 ) -> tuple[wp.array, tuple[Any, ...]]:
-    """Device table of the walls, and the ``wp.Mesh`` objects that it refers to."""
+    """Return the device table of the walls, and the ``wp.Mesh`` objects to which it refers."""
     WallRow = wall_struct(scalar)
     rows, kept = [], []
     for wall in walls:
@@ -235,7 +242,7 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Range of axis segments and force on a body of each group."""
+    """Return the range of axis segments, and the driving force on each body [N], of every group."""
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:
         group = groups.index(drive.group)
@@ -259,7 +266,7 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
-    """The scene's overrides, for both orders of each pair of materials."""
+    """Return the contact laws that override the scene's default, for both orders of each pair of materials."""
     contacts = {}
     for (a, b), contact in scene.contacts.items():
         for name in (a, b):
@@ -277,7 +284,11 @@ def _law_table(
     ours: Iterable[str],
     theirs: Iterable[str],
 ) -> list[ContactLaw]:
-    """Law parameters of every pair of materials; pairs that cannot meet repeat one that can."""
+    """Return a contact law for every pair of materials, as a flattened square table.
+
+    All pairs that can meet must follow one type of law; otherwise :class:`SceneError` is raised. A pair that cannot
+    meet gets the law of a pair that can.
+    """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = sorted({type(c).__name__ for c in met})
     if len(kinds) > 1:
