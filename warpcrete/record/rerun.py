@@ -111,7 +111,7 @@ class RerunRecorder(Recorder):
                 return
             for path in self._later_parts(state["parts"]):
                 path.unlink()
-            if not simulation.over:  # otherwise the parts may have been joined already
+            if not simulation.over:  # The parts of a finished run may have been joined already.
                 for number in range(1, state["parts"]):
                     if not self._part(number).is_file():
                         warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
