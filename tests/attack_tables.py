@@ -288,7 +288,7 @@ OPTIONS = [  # words, and what is said
     ("line site.yaml --concrete site.yaml --theory", "has the key"), ("line site.yaml --device tpu", "device"),
     ("mix", ""), ("mix nothing", "concrete"), ("mix no1", ""), ("mix . ", ""), ("mix example-scc --out site.yaml", "out"),
     ("mix example-scc --out o.txt", "out"), ("mix example-scc --out nowhere/o.yaml", ""), ("mix example-scc --out /proc/o.yaml", ""),
-    ("verify --only nothing", "names no case"), ("verify --device gpu", "device"), ("verify --out whole", "exists"), ("verify --precision 3", ""),
+    ("verify --only nothing", "matches no case"), ("verify --device gpu", "device"), ("verify --out whole", "exists"), ("verify --precision 3", ""),
     ("reproduce", ""), ("reproduce li", ""), ("reproduce zhan --seeds 0", "seeds"), ("reproduce zhan --seeds -3", "seeds"),
     ("reproduce zhan --only rows", "only"), ("reproduce xu --only velocity", "only"), ("reproduce zhan --known whole --out o", "known"),
     ("reproduce --resume whole", "no reproduction"), ("reproduce zhan --out whole", "exists"), ("reproduce zhan --processes 0", "processes"),

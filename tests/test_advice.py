@@ -94,7 +94,7 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
     assert done.returncode == 0, done.stdout + done.stderr
-    for words in ("by the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
+    for words in ("from the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
         assert words in done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     assert made["tolerated_error"] == pytest.approx(0.1)

@@ -146,7 +146,7 @@ def test_an_interrupted_study_stops_at_the_next_samples(tmp_path):
     when_running(process, out)
     os.killpg(process.pid, signal.SIGINT)
     output = process.communicate(timeout=60)[0]
-    assert process.returncode == 130 and "go on with: warpcrete study --resume" in output, output
+    assert process.returncode == 130 and "continue with: warpcrete study --resume" in output, output
     assert len(list(out.glob("*/checkpoint.npz"))) == 2 and "Traceback" not in output
     assert (out / "study.md").is_file()
 

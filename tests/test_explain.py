@@ -201,7 +201,7 @@ def test_the_command(tmp_path):
         assert words in done.stdout
     for arguments, words in (
         (("nothing",), "scene = 'nothing': must be one of"),
-        (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': takes one value here"),
+        (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': must be one value"),
         (("channel", "--spacing", "-1"), "spacing = -1.0"),
         (("channel", "--fresh", "1"), "--fresh: takes no value"),
         (("channel", "--trade", str(tmp_path)), "is no trade's folder"),

@@ -80,7 +80,7 @@ def test_an_interrupted_flow_goes_on(tmp_path):
     assert run.poll() is None, "it was faster"
     run.send_signal(signal.SIGINT)
     words = run.communicate(timeout=120)[0].decode()
-    assert run.returncode == 130 and "go on with" in words
+    assert run.returncode == 130 and "continue with" in words
     assert not json.loads((out / "result.json").read_text())["finished"]
     done = warpcrete("run", "--resume", out, "--quiet")
     assert done.returncode == 0, done.stderr

@@ -286,7 +286,7 @@ def test_the_command_adds_up_a_line(tmp_path):
     assert f"{more.pressure / 1e5:.4g} bar" in other.output and more.pressure > theory.pressure
     path.write_text("diameter: 125 mm\nconcrete: no1\nparts:\n  - straight: 10 m\n")
     refused = CliRunner().invoke(cli, ["line", str(path), "--theory"])
-    assert refused.exit_code == 2 and "flow: neither the line nor an option has it" in refused.output
+    assert refused.exit_code == 2 and "flow: is missing; set it in the file of the line, or with" in refused.output
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "file").write_text("")
     taken = CliRunner().invoke(cli, ["line", str(path), "--flow", "20 m3/h", "--out", str(tmp_path / "else")])
@@ -304,7 +304,7 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
 
     monkeypatch.setattr("warpcrete.cli.line.run_line", cut)
     done = CliRunner().invoke(cli, ["line", str(path), "--out", str(out)])
-    assert done.exit_code == 130 and f"go on with the same command and --out {out}" in done.output
+    assert done.exit_code == 130 and f"continue with the same command and --out {out}" in done.output
     other = CliRunner().invoke(cli, ["line", str(path), "--out", str(out), "--cells", "10"])
     assert "exists already, with another line that was cut" in str(other.exception)
 

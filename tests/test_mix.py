@@ -246,7 +246,7 @@ def test_the_command_prints_and_writes_a_concrete(tmp_path):
     assert {k: v for k, v in one.items() if k not in names} == {k: v for k, v in other.items() if k not in names}
     assert scenes.tube(concrete=plain).concrete.viscosity == mix["viscosity"].value
     again = CliRunner().invoke(cli, ["mix", str(path), "--out", str(plain)])
-    assert "must be a new .yaml file" in str(again.exception)
+    assert "must be the path of a .yaml file that does not exist yet" in str(again.exception)
     assert "has no section 'mix'" in str(CliRunner().invoke(cli, ["mix", "no1"]).exception)
 
 
@@ -286,7 +286,7 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     _, covariance = np.polyfit(flows / (math.pi * 0.0625**2), pressures * 0.0625 / 40, 1, cov=True)
     eta, tau = np.sqrt(np.diag(covariance))
     assert f"; standard errors {eta:.2g} Pa s/m and {tau:.2g} Pa" in said(3)
-    assert "; two points do not tell how far they are off" in said(2)
+    assert "; two points give no standard errors" in said(2)
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_line_by_elements_refuses(tmp_path):
         (["--coarse", "0.5"], "coarse = 0.5"),
         (["--concrete", "nothing"], "concrete = 'nothing'"),
         (["--coarse", "6"], "size_max = 0.12: must be below the pipe's diameter"),
-        (["--theory"], "theory: means nothing"),
+        (["--theory"], "--theory: cannot be combined with --method dem or both"),
     ):
         command = ["line", str(tmp_path / "line.yaml"), "--method", "dem", "--out", str(tmp_path / "out"), *more]
         done = CliRunner().invoke(cli, command)

@@ -139,7 +139,7 @@ def test_the_study_command(tmp_path):
         (["pipe", "--velocity", "fast"], "must be a number"),
         (["chute", "--velocity", "1"], "scene = 'chute'"),
         (["pipe", "--velocity", "0.3", "--repeat", "0"], "repeat = 0"),
-        (["--resume", str(tmp_path)], "is no study's folder"),
+        (["--resume", str(tmp_path)], "is not the folder of a study"),
     ):
         wrong = command("study", *words, "--quiet")
         assert wrong.returncode == 2 and complaint in wrong.stderr, (words, wrong.stderr)

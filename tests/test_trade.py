@@ -252,8 +252,8 @@ def test_the_command(tmp_path):
         (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
         (("trade", "channel", "--spacing", "0.01", "0.02"), "takes one value"),
-        (("trade", "--resume", tmp_path), "is no trade's folder"),
-        (("trade", "channel", "--resume", tmp_path / "t"), "goes on as the trade began"),
+        (("trade", "--resume", tmp_path), "is not the folder of a trade"),
+        (("trade", "channel", "--resume", tmp_path / "t"), "continues with its own settings"),
     ):
         done = command(*words)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
@@ -352,9 +352,9 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     advice = advise(folder, "channel", channel, COARSE, 0.2)
     assert {name: made[name] for name in advice.changes} == advice.changes
     for words, message in (
-        (("--trade", folder), "means nothing without --accuracy"),
-        (("--accuracy", "much", "--trade", folder), "must be per cent"),
-        (("--accuracy", "5%", "--trade", tmp_path), "is no trade's folder"),
+        (("--trade", folder), "needs --accuracy"),
+        (("--accuracy", "much", "--trade", folder), "must be a percentage"),
+        (("--accuracy", "5%", "--trade", tmp_path), "is not the folder of a trade"),
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -128,7 +128,7 @@ def test_a_lost_worker_and_an_interruption_lose_no_run_that_was_done(alone, tmp_
     wait_for(3)
     os.killpg(process.pid, signal.SIGINT)
     output = process.communicate(timeout=60)[0]
-    assert process.returncode == 130 and "go on with: warpcrete trade --resume" in output, output
+    assert process.returncode == 130 and "continue with: warpcrete trade --resume" in output, output
     assert "Traceback" not in output and "its worker failed" not in output and (out / "trade.md").is_file()
     times = {path: path.stat().st_mtime_ns for path in (out / "runs" / name / "result.json" for name in hashes(out))}
     assert len(times) >= 3

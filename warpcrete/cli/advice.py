@@ -22,31 +22,34 @@ def chosen(
     Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
     """
     if accuracy is None:
-        raise click.UsageError(f"trade = '{trade}': means nothing without --accuracy, as --accuracy 5%")
+        raise click.UsageError(f"trade = '{trade}': needs --accuracy; add, for example, --accuracy 5%")
     if trade is not None and not (trade / "trade.json").is_file():
-        raise RunFolderError(f"trade = '{trade}': is no trade's folder (it holds no trade.json)")
+        raise RunFolderError(f"trade = '{trade}': is not the folder of a trade (it holds no trade.json)")
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100
     except ValueError:
-        raise click.UsageError(f"accuracy = {accuracy!r}: must be per cent, as 5%") from None
+        raise click.UsageError(f"accuracy = {accuracy!r}: must be a percentage, such as 5%") from None
     source = trade or shipped(name, module, parameters, find_device(device).is_cuda)
     if source is None:
         raise click.UsageError(
-            f"accuracy = {accuracy!r}: needs --trade FOLDER, since no trade of {name} comes with warpcrete; make one "
+            f"accuracy = {accuracy!r}: needs --trade FOLDER, because no trade of {name} is shipped; create one "
             f"with 'warpcrete trade {name} --budget 20min'"
         )
     found = advise(source, name, module, parameters, part)
     quantities = " and ".join(found.quantities)
     if trade is None:
-        click.echo(f"note: by the shipped trade {source.stem!r}, measured on {found.machine}", err=True)
+        click.echo(f"note: settings from the shipped trade {source.stem!r}, measured on {found.machine}", err=True)
     if found.left_out:
-        click.echo(f"note: {found.setting}, without {'; '.join(found.left_out)}: nothing is promised of that", err=True)
+        click.echo(
+            f"note: {found.setting}, without {'; '.join(found.left_out)}: the error of this combination is unknown",
+            err=True,
+        )
     else:
         click.echo(f"note: {found.setting}: {quantities} within {100 * found.promised:.2g} %, "
-                   f"in {found.ratio:.2g} of the time"
+                   f"in {found.ratio:.2g} times the wall time"
                    + (f" ({found.time:.2g} s there)" if math.isfinite(found.time) else ""), err=True)  # fmt: skip
     if found.tried:
-        click.echo(f"note: holds for {', '.join(found.tried)}, too", err=True)
+        click.echo(f"note: also measured for {', '.join(found.tried)}", err=True)
     if found.outside:
-        click.echo(f"note: not measured with {', '.join(found.outside)}: there the error may be larger", err=True)
+        click.echo(f"note: not measured with {', '.join(found.outside)}, so the error may be larger", err=True)
     return found.changes

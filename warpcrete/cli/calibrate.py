@@ -31,7 +31,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)
     if options:
-        raise click.UsageError(f"--{next(iter(options))}: is no option of calibrate; parameters stand in the file")
+        raise click.UsageError(
+            f"--{next(iter(options))}: is not an option of calibrate; set parameters in the file of targets"
+        )
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
     progress = ProgressBar()
@@ -40,7 +42,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         if "resume" in settings:
             found = _resumed(targets, settings, modules)
         elif targets is None:
-            raise click.UsageError("targets: name a file of targets, or --resume FOLDER")
+            raise click.UsageError("targets: is missing; give a file of targets, or --resume FOLDER")
         else:
             out = settings.pop("out", None) or next_folder("calibration")
             found = run_calibration(Path(targets), modules, out=out, **settings)
@@ -53,9 +55,11 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
     folder = settings.pop("resume")
     strange = [name for name in settings if name not in (*ANEW, "progress")]
     if targets is not None or strange:
-        raise click.UsageError(f"resume = '{folder}': goes on as it began; only {', '.join(ANEW)} are new")
+        raise click.UsageError(
+            f"resume = '{folder}': continues with its own settings; only {', '.join(ANEW)} may change"
+        )
     if not (folder / RECORD).is_file():
-        raise RunFolderError(f"resume = '{folder}': is no calibration's folder (it holds no {RECORD})")
+        raise RunFolderError(f"resume = '{folder}': is not the folder of a calibration (it holds no {RECORD})")
     return resume_calibration(folder, modules, **settings)
 
 
@@ -68,5 +72,5 @@ def report(found: Calibration) -> None:
             click.echo(f"note: {said}")
     click.echo(f"\n{len(found.trials)} trials in {found.took:.0f} s; calibration folder: {found.folder}")
     if not found.finished:
-        click.echo(f"go on with: warpcrete calibrate --resume {found.folder}")
+        click.echo(f"continue with: warpcrete calibrate --resume {found.folder}")
         raise SystemExit(INTERRUPTED)

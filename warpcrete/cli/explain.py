@@ -26,6 +26,6 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     values = parameter_values(modules[scene], options)
     for name, given in values.items():
         if len(given) > 1:
-            refuse(name, ", ".join(map(str, given)), "takes one value here")
+            refuse(name, ", ".join(map(str, given)), "must be one value")
     made = modules[scene].scene(**{name: given[0] for name, given in values.items()})
     click.echo(str(explain(made, cache=fresh is None, **settings)))

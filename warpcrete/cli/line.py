@@ -34,18 +34,18 @@ def run(
     stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
     given = read_line(line)
     if flow is None and given.flow is None:
-        raise click.UsageError("flow: neither the line nor an option has it; --flow '30 m3/h'")
+        raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
     if concrete is None and given.concrete is None:
-        raise click.UsageError("concrete: neither the line nor an option has it; --concrete no1, or a file")
+        raise click.UsageError("concrete: is missing; set it in the file of the line, or with --concrete no1 or a file")
     if theory and method != "flow":
-        raise click.UsageError("theory: means nothing with --method; leave out one")
+        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
     elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds, stiffer=stiffer)
     usual = Elements()
     unused = {"shapes": shapes != usual.shapes, "coarse": coarse is not None, "seeds": seeds != usual.seeds,
               "stiffer": stiffer != usual.stiffer} if method == "flow" else \
         {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
     for option in (name for name, given_so in unused.items() if given_so):
-        raise click.UsageError(f"{option}: means nothing with --method {method}; take both, or leave it out")
+        raise click.UsageError(f"{option}: has no effect with --method {method}; use --method both, or leave it out")
     rate = given.flow
     if flow is not None:
         rate = amount("flow", flow, "m3/s")
@@ -86,13 +86,13 @@ def run(
             _print(given, name, rate, found, packed, folder)
     except KeyboardInterrupt:
         if folder is not None and (folder / PARTS).is_dir():
-            click.echo(f"interrupted; go on with the same command and --out {folder}")
+            click.echo(f"interrupted; continue with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
     if moved:
-        click.echo(f"\nafter {stood:g} s of rest, grown by {growth:g} Pa/s, it moves from {moved[0]:.4g} bar on; "
-                   f"{moved[1]:.4g} bar set it going at that flow at once (theory)")  # fmt: skip
+        click.echo(f"\nafter {stood:g} s of rest, with a yield stress that grows by {growth:g} Pa/s, the concrete "
+                   f"starts to move at {moved[0]:.4g} bar, at full flow with {moved[1]:.4g} bar (theory)")  # fmt: skip
     if (found is not None and found.failed) or (packed is not None and packed.failed):
         raise SystemExit(CHECK_FAILED)
 
@@ -113,4 +113,4 @@ def _print(
                 partial.write_text("\n".join(text) + "\n", encoding="utf-8")
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
-        click.echo(f"\nfolder: {folder}; simulated in {took:.0f} s")
+        click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")

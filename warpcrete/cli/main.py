@@ -33,7 +33,9 @@ def _scenes() -> dict[str, ModuleType]:
 
 @click.group()
 @click.version_option(package_name="warpcrete")
-@click.option("--trust", is_flag=True, help="import contact laws of your own that records and files name")
+@click.option(
+    "--trust", is_flag=True, help="Allow records and files to import your own contact laws (this runs their code)"
+)
 def cli(trust: bool) -> None:
     """Particle simulation of fresh concrete being pumped."""
     if trust:
@@ -60,14 +62,14 @@ def _by_method(arguments: list[str]) -> list[str]:
         if name != "--method":
             left.append(word)
         elif method is not None or not (value := value if given else next(words, "")):
-            raise click.UsageError("--method: takes one value")
+            raise click.UsageError("--method: must be given once, with one value, such as --method dem")
         else:
             method = value
     if method is None:
         return left
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
-        raise click.UsageError("--method: belongs to a scene, as in 'slump --method dem'")
+        raise click.UsageError("--method: needs a scene; write it as in 'slump --method dem'")
     left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
     return left
 
@@ -94,23 +96,25 @@ class LazyGroup(click.Group):
 
 
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
-@click.option("--resume", type=click.Path(path_type=Path), help="go on with the interrupted run of this folder")
-@click.option("--live", is_flag=False, flag_value="spawn", help="with --resume: watch, as for a scene")
-@click.option("--bind", default="127.0.0.1", help="with --live: as for a scene")
-@click.option("--quiet", is_flag=True, help="with --resume: no progress bar")
+@click.option("--resume", type=click.Path(path_type=Path), help="Continue the interrupted run in this folder")
+@click.option(
+    "--live", is_flag=False, flag_value="spawn", help="With --resume: watch the run in a Rerun viewer, as for a scene"
+)
+@click.option("--bind", default="127.0.0.1", help="With --live: IP address that the viewer listens on")
+@click.option("--quiet", is_flag=True, help="With --resume: show no progress bar")
 @click.pass_context
 def run_group(context: click.Context, resume: Path | None, live: str | None, bind: str, quiet: bool) -> None:
     """Run a scene, repeat a saved run, or continue an interrupted one.
 
-    Run a scene with `warpcrete run SCENE [options]`; `slump --method dem` is `slump-dem`. Repeat a run with `warpcrete
-    run RUN/scene.json`. Continue an interrupted run with `warpcrete run --resume RUN`.
+    Run a scene with `warpcrete run SCENE [options]`. `slump --method dem` is the same scene as `slump-dem`. Repeat a
+    run with `warpcrete run RUN/scene.json`. Continue an interrupted run with `warpcrete run --resume RUN`.
 
     The exit code is 0 if the run is finished and passes its checks, 1 if it became unstable, 2 for bad input, 3 if a
     check failed, and 130 if it was interrupted.
     """
     if context.invoked_subcommand is not None:
         if resume is not None or live is not None or quiet:
-            raise click.UsageError("--resume, --live, --quiet: before a scene they mean nothing; put them behind it")
+            raise click.UsageError("--resume, --live, --quiet: must follow the scene's name; move them behind it")
     elif resume is None:
         click.echo(context.get_help())
         raise SystemExit(2)
@@ -141,7 +145,9 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
             return
         changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
         if changed:
-            raise click.UsageError(f"resume = '{resume}': goes on as the run began; leave out {', '.join(changed)}")
+            raise click.UsageError(
+                f"resume = '{resume}': a run continues with its own settings; leave out {', '.join(changed)}"
+            )
         job.resume(resume, _scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
@@ -156,9 +162,11 @@ def _repeat_command(path: Path) -> click.Command:
     def callback(**settings: Any) -> None:
         job = _part("run")
         if settings.pop("resume") is not None:
-            raise click.UsageError("resume = RUN: goes without a scene.json; the folder holds one")
+            raise click.UsageError("--resume: cannot be combined with a scene.json; write 'warpcrete run --resume RUN'")
         if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
-            raise click.UsageError("--accuracy, --trade: mean nothing beside a scene.json, which says all settings")
+            raise click.UsageError(
+                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave them out"
+            )
         record, module = job.repeatable_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
         if "threads" in record.get("command", {}):
@@ -176,15 +184,28 @@ class TheoryCommand(click.Command):
 
 
 @cli.command("theory", cls=TheoryCommand)
-@click.option("--flow", multiple=True, help="[m3/s], or as '35 m3/h'; may be repeated  [default: 0.0015]")
-@click.option("--pressure", multiple=True, help="[Pa], or as '50 bar'; may be repeated: the flow that it drives")
-@click.option("--fit", type=click.Path(path_type=Path), help="CSV of flows and pressures that were measured in this "
-              "pipe, with a first line as 'flow [m3/h],pressure [bar]': the slip layer that they ask for")  # fmt: skip
-@click.option("--rest", help="that the concrete has stood [s], or as '10 min': what a restart then takes")
-@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
-@click.option("--segregation", multiple=True, help="aggregate in the outer half of the radius less that in "
-              "the inner half, over its mean share: what it does to a pipe's pressure; may be repeated")  # fmt: skip
-@click.option("--aggregate", help="its share of the volume, for --segregation  [default: a mix's own]")
+@click.option(
+    "--flow",
+    multiple=True,
+    help="Volume flow [m3/s], or with a unit such as '35 m3/h'; may be repeated  [default: 0.0015]",
+)
+@click.option(
+    "--pressure",
+    multiple=True,
+    help="Pressure [Pa], or with a unit such as '50 bar', for which the flow is computed; may be repeated",
+)
+@click.option("--fit", type=click.Path(path_type=Path), help="CSV file of flows and pressures measured in this pipe, "
+              "with a first line such as 'flow [m3/h],pressure [bar]', to which the slip layer is fitted")  # fmt: skip
+@click.option(
+    "--rest",
+    help="Time that the concrete has stood still [s], or with a unit such as '10 min'; adds the "
+    "pressure of the restart",
+)
+@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
+@click.option("--segregation", multiple=True, help="Difference of the aggregate's share between the outer "
+              "and the inner half of the radius, divided by its mean share; adds its effect on the pressure; may be "
+              "repeated")  # fmt: skip
+@click.option("--aggregate", help="Share of aggregate in the volume, for --segregation  [default: that of the mix]")
 @click.pass_context
 def theory(
     context: click.Context, flow: tuple[str, ...], pressure: tuple[str, ...], fit: Path | None,
@@ -211,9 +232,9 @@ def theory(
 
 @cli.command("view")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--web", is_flag=True, help="in a browser, at the address that is printed, until Ctrl-C")
-@click.option("--bind", default="127.0.0.1", show_default=True, help="IP address to listen on: that of this machine "
-              "alone, or 0.0.0.0 for everybody who can reach it")  # fmt: skip
+@click.option("--web", is_flag=True, help="Show it in a browser, at the printed address, until Ctrl-C")
+@click.option("--bind", default="127.0.0.1", show_default=True, help="IP address that the viewer listens on; 0.0.0.0 "
+              "lets every machine connect that can reach this one")  # fmt: skip
 def view_run(run: Path, web: bool, bind: str) -> None:
     """Open the recording of a run folder in the Rerun viewer."""
     from ..core.run import viewer
@@ -226,12 +247,12 @@ def view_run(run: Path, web: bool, bind: str) -> None:
 
 
 @cli.command("verify")
-@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
-@click.option("--only", default="", help="cases whose name or group contains this")
-@click.option("--quick", is_flag=True, help="leave out the cases that take longer than a few seconds")
-@click.option("--extremes", is_flag=True, help="also run the matrix of scenes at the edge of what makes sense")
-@click.option("--out", type=click.Path(path_type=Path), help="new folder for verification.md and verification.png")
+@click.option("--only", default="", help="Run only the cases whose name or group contains this text")
+@click.option("--quick", is_flag=True, help="Leave out the cases that take longer than a few seconds")
+@click.option("--extremes", is_flag=True, help="Also run a matrix of scenes with extreme parameters")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder for verification.md and verification.png")
 def verify(**settings: Any) -> None:
     """Compare results with published and closed-form answers, in one table and one figure.
 
@@ -241,28 +262,30 @@ def verify(**settings: Any) -> None:
 
 
 ON_WORKERS = """\
-  --scheduler WHICH      run on workers of Dask (pip install 'warpcrete[cluster]'): 'local' starts one a GPU or a core,
-                         'slurm' submits jobs as Dask's configuration has them, else a scheduler's address
-  --workers N            that a scheduler is to start
+  --scheduler WHICH      run on Dask workers (pip install 'warpcrete[cluster]'): 'local' starts one per GPU or core,
+                         'slurm' submits jobs by Dask's configuration; or the address of a running scheduler
+  --workers N            number of workers that the scheduler starts
 """
 
 STUDY_HELP = f"""A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
 
-Every option of `warpcrete run SCENE` that is a parameter of the scene takes one value or several; cases are all
-combinations. On a GPU those of discrete elements run side by side as batches and flows in turn, on a CPU all run in
-processes, one a core. The folder holds study.md, study.csv, study.png and a run folder for each case.
+Every parameter of the scene, as in `warpcrete run SCENE --help`, takes one value or several. Every combination of the
+values is a case. On a GPU, cases of discrete elements run side by side in batches, and flows one after another. On a
+CPU, cases run in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder for
+each case.
 
 \b
   --repeat N             run every case with N seeds                                      [default: 1]
-  --one-at-a-time        vary each parameter alone, the other varied ones at their defaults
+  --one-at-a-time        vary one parameter at a time and keep the others at their defaults
   --out FOLDER           new folder                                                       [default: runs/study-NNN]
-  --resume FOLDER        go on with a study: finished cases are not run again
+  --resume FOLDER        continue a study; finished cases are not run again
   --device, --precision  as for run
-  --processes N          at a time on a CPU                                               [default: one a core]
-{ON_WORKERS}  --frames, --checkpoint-every, and recorders   as for run; no recordings unless asked for, as with --rerun
-  --quiet                no progress bar
+  --processes N          number of parallel processes on a CPU                            [default: one per core]
+{ON_WORKERS}  --frames, --checkpoint-every, --rerun and other recorders   as for run; recordings are off by default
+  --quiet                show no progress bar
 
-Exits with 1 if a case failed, with 3 if every case ended but a check of one failed, with 130 if it was interrupted.
+The exit code is 1 if a case failed, 3 if all cases finished but one of them failed a check, and 130 if the study was
+interrupted.
 """
 
 
@@ -275,23 +298,24 @@ def study_command(arguments: tuple[str, ...]) -> None:
     _part("study").run(_by_method(list(arguments)), _scenes())
 
 
-TRADE_HELP = f"""Speed against accuracy of a scene, measured: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
+TRADE_HELP = f"""Measure speed against accuracy of a scene: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
 
-Turns what costs accuracy in the scene (time step, precision, sizes, walls, spacing, ...), each alone, then together,
-and finds the cheapest settings for errors of 20 to 1 %, which it tries with fresh seeds. Runs are made one at a time,
-or one on each worker. The folder holds trade.md, trade.csv, trade.json, trade.png and a run folder for each run.
+The command varies the settings that trade accuracy for speed (time step, precision, sizes, walls, spacing ...), first
+each alone, then together. It finds the cheapest settings for errors of 20 % down to 1 % and verifies them with new
+seeds. Runs take place one at a time, or one on each worker. The folder holds trade.md, trade.csv, trade.json, trade.png
+and a run folder for each run.
 
 \b
-  --budget TIME          wall time, however many workers, as 90s, 20min or 2h             [default: 20min]
-  --quantity NAME ...    of result.json, whose errors count                               [default: the scene's]
-  --knob NAME ...        only these, as 'time step'                                       [default: all of the scene]
-  --repeat N             seeds of each setting                                            [default: 3]
+  --budget TIME          total wall time, such as 90s, 20min or 2h                        [default: 20min]
+  --quantity NAME ...    quantities of result.json whose errors are measured              [default: the scene's]
+  --knob NAME ...        settings that are varied, such as 'time step'                    [default: all of the scene]
+  --repeat N             number of seeds of each setting                                  [default: 3]
   --out FOLDER           new folder                                                       [default: runs/trade-NNN]
-  --resume FOLDER        go on with a trade for another --budget: runs that are there are used
-  --device, --threads    as for run; on workers the threads of each                        [default there: 1]
-{ON_WORKERS}  --quiet                no progress bar
+  --resume FOLDER        continue a trade for another --budget; its finished runs are kept
+  --device, --threads    as for run; with workers, --threads holds for each worker        [default there: 1]
+{ON_WORKERS}  --quiet                show no progress bar
 
-Exits with 2 for bad input, with 130 if it was interrupted.
+The exit code is 2 for bad input and 130 if the trade was interrupted.
 """
 
 
@@ -306,17 +330,25 @@ def trade_command(arguments: tuple[str, ...]) -> None:
 
 @cli.command("reproduce")
 @click.argument("paper", required=False)
-@click.option("--quick", is_flag=True, help="coarse spheres for clumps and fewer cases: minutes on a CPU")
-@click.option("--seeds", type=int, default=1, show_default=True, help="of each case of discrete elements")
-@click.option("--only", multiple=True, help="of zhan: one column ('stiff stones', 'yielding layer' ...) or row (units, "
-              "velocity ...); several times for several  [default: all]")  # fmt: skip
-@click.option("--known", multiple=True, type=click.Path(path_type=Path), help="folder of an earlier reproduction whose "
-              "results are taken")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/reproduce-PAPER-NNN]")
-@click.option("--resume", type=click.Path(path_type=Path), help="go on: finished runs are used")
-@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
-@click.option("--processes", type=click.IntRange(1, 1024), help="at a time on a CPU  [default: one a core]")
-@click.option("--quiet", is_flag=True, help="no progress bar")
+@click.option(
+    "--quick", is_flag=True, help="Use coarse spheres instead of clumps, and fewer cases; takes minutes on a CPU"
+)
+@click.option(
+    "--seeds", type=int, default=1, show_default=True, help="Number of seeds of each case of discrete elements"
+)
+@click.option("--only", multiple=True, help="With zhan: run only one column ('stiff stones', 'yielding layer' ...) or "
+              "row (units, velocity ...) of the report; may be repeated  [default: all]")  # fmt: skip
+@click.option("--known", multiple=True, type=click.Path(path_type=Path), help="Folder of an earlier reproduction "
+              "whose results are reused; may be repeated")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="New folder  [default: runs/reproduce-PAPER-NNN]")
+@click.option(
+    "--resume", type=click.Path(path_type=Path), help="Continue the reproduction in this folder; finished runs are kept"
+)
+@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option(
+    "--processes", type=click.IntRange(1, 1024), help="Number of parallel processes on a CPU  [default: one per core]"
+)
+@click.option("--quiet", is_flag=True, help="Show no progress bar")
 def reproduce_command(**settings: Any) -> None:
     """Repeat the runs of PAPER, zhan (discrete elements) or xu (flows), and compare the results with the paper's.
 
@@ -326,11 +358,12 @@ def reproduce_command(**settings: Any) -> None:
     _part("reproduce").run(**settings)
 
 
-CALIBRATE_HELP = f"""From what was measured to a concrete's parameters: `warpcrete calibrate TARGETS.yaml [options]`.
+CALIBRATE_HELP = f"""Find a concrete's parameters from measured results: `warpcrete calibrate TARGETS.yaml [options]`.
 
-The file names quantities of scenes with their values and uncertainties, and parameters with the range of each. Runs go
-where the answer may lie, until more of them would not change it. The folder holds calibration.md and calibration.png
-(what the data allow, and what they do not tell), answer.json, concrete.yaml (for --concrete), and all runs.
+The file lists the measured quantities of scenes with their uncertainties, and the parameters to find with the range of
+each. New runs are placed where the answer is likely, until further runs would no longer change it. The folder holds
+calibration.md and calibration.png (the parameters that fit the data, and those that the data do not determine),
+answer.json, concrete.yaml (for --concrete), and all runs.
 
 \b
   vary:
@@ -343,16 +376,17 @@ where the answer may lie, until more of them would not change it. The folder hol
        held_out: true}}
 
 \b
-  --trials N             at most, each of which runs every scene once    [default: 10 and 10 for each parameter]
-  --batch N              at a time                                       [default: 4 and 2 for each parameter]
-  --repeat N             seeds with which the answer is tried in the end [default: 3]
-  --seed N               of the search                                   [default: 0]
+  --trials N             maximum number of trials; each runs all scenes  [default: 10 + 10 per parameter]
+  --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
+  --repeat N             number of seeds of the final check              [default: 3]
+  --seed N               seed of the search                              [default: 0]
   --out FOLDER           new folder                                      [default: runs/calibration-NNN]
-  --resume FOLDER        go on with a calibration, also with more --trials: runs that are there are used
+  --resume FOLDER        continue a calibration, also with more --trials; its finished runs are kept
   --device, --precision, --processes   as for study
-{ON_WORKERS}  --quiet                no progress bar
+{ON_WORKERS}  --quiet                show no progress bar
 
-Exits with 2 for bad input, with 130 if it was interrupted. Needs pip install 'warpcrete[calibrate]'.
+The exit code is 2 for bad input and 130 if the calibration was interrupted. The command needs pip install
+'warpcrete[calibrate]'.
 """
 
 
@@ -365,12 +399,13 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
     _part("calibrate").run(list(arguments), _scenes())
 
 
-LINE_HELP = """Pressure that a line of pipes needs: `warpcrete line LINE.yaml [options]`.
+LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
-The file lists the parts in order. Each kind of part is simulated once, as a flow, straight pipe by the metre; the
-folder holds line.md, line.json, line.png (pressure along the line, theory beside it) and the runs, which another line
-takes with --known. burj-khalifa and shanghai-tower are shipped. --method dem does it by discrete elements, --method
-both by both, in one table.
+The file lists the parts of the pipeline in order. Each different part is simulated once as a flow; a straight pipe is
+simulated once and its pressure scaled with its length. The folder holds line.md, line.json, line.png (pressure along
+the line, compared with theory) and the runs, which another line can reuse with --known. Two lines are shipped:
+burj-khalifa and shanghai-tower. --method dem simulates the parts with discrete elements, --method both with both
+methods, in one table.
 
 \b
   diameter: 125 mm
@@ -380,49 +415,68 @@ both by both, in one table.
   begin: level                  # up, down
   parts:
     - straight: 10 m
-    - bend: {to: up, radius: 0.5 m}               # to: up, down, left, right, level, back; angle: 45 goes part of
-                                                  # the way there
+    - bend: {to: up, radius: 0.5 m}               # to: up, down, left, right, level, back; with angle: 45 it turns
+                                                  # only 45 degrees towards it
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
-    - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # from where it begins: ahead, to the left, up
+    - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # relative to its start: ahead, left, up [m]
     - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
 
-A bore is a mesh that begins at its origin and leads along its x; its file is sought beside LINE.yaml, its outlet is the
-line's diameter unless told. It holds the bore alone: straight pipe is put before and behind it.
+A bore is a mesh of the inner surface that begins at its origin and leads along its x axis. Its path is relative to the
+folder of LINE.yaml. Its outlet has the diameter of the line unless `outlet` is given. The mesh must hold the bore
+alone; straight pipe is added before and behind it.
 
-A short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
+To simulate a short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
 
-Amounts without a unit are in m, m3/s, Pa and degrees. Exits with 3 if a check of a part failed.
+Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a check of a part failed.
 """
 
 
 @cli.command("line", help=LINE_HELP)
 @click.argument("line", type=str)
-@click.option("--concrete", help="in place of the line's: no1, no2, no3, or a file with a section 'flow'; by "
-              "elements, zhan or any that run pipe takes")  # fmt: skip
-@click.option("--flow", help="in place of the line's, as '30 m3/h'")
-@click.option("--theory", is_flag=True, help="closed form alone: bends and reducers as straight pipe, at once")
-@click.option("--layer-factor", type=float, help="by which the slip layer's constants may be off, for the band; 1 "
-              "where they were measured  [default: 2; of a mix the bands of all its constants]")  # fmt: skip
-@click.option("--cells", type=int, default=12, show_default=True, help="across the bore of bends and reducers")
+@click.option("--concrete", help="Concrete, instead of the line's: no1, no2, no3, or a file with a section 'flow'; "
+              "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
+@click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
+@click.option(
+    "--theory",
+    is_flag=True,
+    help="Use the closed-form solution only, without simulation; bends and reducers count as straight pipe",
+)
+@click.option("--layer-factor", type=float, help="Factor by which the slip layer's constants may be wrong, for the "
+              "band of the pressure; 1 if they were measured  [default: 2; for a mix, the bands of all its "
+              "constants]")  # fmt: skip
+@click.option(
+    "--cells", type=int, default=12, show_default=True, help="Number of cells across the bore of bends and reducers"
+)
 @click.option("--method", type=click.Choice(["flow", "dem", "both"]), default="flow", show_default=True,
-              help="a Bingham fluid with a slip layer, discrete elements, or both")  # fmt: skip
-@click.option("--shapes", default="spheres", show_default=True, help="of elements, as for run pipe; a concrete whose "
-              "walls have a layer and no friction wants 'reference', as spheres roll along it")  # fmt: skip
-@click.option("--coarse", type=float, help="times the sizes of elements  [default: until the largest is 0.3 of the "
-              "narrowest bore]")  # fmt: skip
-@click.option("--stiffer", type=float, default=5.0, show_default=True, help="times the modulus of elements: soft "
-              "ones are pressed together for longer, stiff ones take more steps")  # fmt: skip
-@click.option("--seeds", type=int, default=1, show_default=True, help="packings of elements, whose scatter is a band")
-@click.option("--out", type=click.Path(path_type=Path), help="new folder  [default: runs/line-NNN]")
-@click.option("--known", type=click.Path(path_type=Path), help="folder of an earlier line, finished or cut: its runs "
-              "of the same parts are taken")  # fmt: skip
-@click.option("--device", help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
-@click.option("--threads", type=click.IntRange(1, 1024), help="on a CPU  [default: all cores]")
-@click.option("--rest", help="that the line has stood full [s], or as '10 min': what a restart then takes, by theory")
-@click.option("--thixotropy", help="A_thix, by which yield stresses grow at rest [Pa/s]  [default: 0.5]")
-@click.option("--quiet", is_flag=True, help="no progress bar")
+              help="Simulate a Bingham fluid with a slip layer, discrete elements, or both")  # fmt: skip
+@click.option("--shapes", default="spheres", show_default=True, help="Shapes of the elements, as for the scene 'pipe'; "
+              "use 'reference' for a concrete with a slip layer but no wall friction, because spheres roll along the "
+              "layer")  # fmt: skip
+@click.option("--coarse", type=float, help="Factor by which the elements are enlarged  [default: such that the largest "
+              "is 0.3 of the narrowest bore]")  # fmt: skip
+@click.option("--stiffer", type=float, default=5.0, show_default=True, help="Factor on the modulus of the elements: "
+              "stiff elements need more steps, soft elements stay compressed for longer")  # fmt: skip
+@click.option(
+    "--seeds",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Number of random packings of elements, whose scatter gives a band",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="New folder  [default: runs/line-NNN]")
+@click.option("--known", type=click.Path(path_type=Path), help="Folder of an earlier line, finished or interrupted, "
+              "whose runs of the same parts are reused")  # fmt: skip
+@click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--threads", type=click.IntRange(1, 1024), help="Number of threads on a CPU  [default: all cores]")
+@click.option(
+    "--rest",
+    help="Time that the full line has stood still [s], or with a unit such as '10 min'; adds the "
+    "theoretical pressure of the restart",
+)
+@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
+@click.option("--quiet", is_flag=True, help="Show no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)
 
@@ -430,7 +484,7 @@ def line_command(line: str, **settings: Any) -> None:
 @cli.command("mix", help=MIX_HELP)
 @click.argument("name", metavar="MIX", type=str)
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="new file: the plain concrete, as --concrete takes it, too"
+    "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
 )
 def mix_command(name: str, out: Path | None) -> None:
     _part("mix").run(name, out)
@@ -438,7 +492,7 @@ def mix_command(name: str, out: Path | None) -> None:
 
 @cli.command("schema")
 @click.argument("kind", required=False)
-@click.option("--path", is_flag=True, help="print the path of the shipped file instead")
+@click.option("--path", is_flag=True, help="Print the path of the schema instead")
 def schema_command(kind: str | None, path: bool) -> None:
     """Print the JSON schema of a kind of file: concrete, mix, line or targets.
 
@@ -446,20 +500,22 @@ def schema_command(kind: str | None, path: bool) -> None:
     $schema=PATH'.
     """
     if kind is None:
-        raise click.UsageError("kind: name concrete, mix, line or targets")
+        raise click.UsageError("kind: is missing; give concrete, mix, line or targets")
     found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
     click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
 
 
-EXPLAIN_HELP = """What a scene will take, before it runs: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
+EXPLAIN_HELP = """Estimate the cost of a run beforehand: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
 
-Which features are compiled in and why, memory by part, the time step and what governs it, steps and wall time on this
-device, and what would save most. Measured within some seconds and kept in the user's cache.
+The command prints the compiled features and why they are needed, the memory by part, the time step and what limits it,
+the number of steps and the wall time on this device, and the changes that would save most. It measures for some seconds
+and keeps the result in the user's cache.
 
 \b
-  --trade FOLDER         of a 'warpcrete trade' of this scene, for the errors of savings    [default: a shipped one]
+  --trade FOLDER         folder of a 'warpcrete trade' of this scene, which gives the errors
+                         of the proposed changes                                          [default: a shipped one]
   --device, --threads    as for run
-  --fresh                measure again, whatever the cache has
+  --fresh                measure again and ignore the cache
 """
 
 
@@ -507,6 +563,6 @@ def main() -> None:
             end.start()
         _fail(str(error), 2)
     except UnicodeError as error:
-        _fail(f"{error}; use a UTF-8 locale (LC_ALL=C.UTF-8), or names of plain letters", 2)
+        _fail(f"{error}; use a UTF-8 locale (LC_ALL=C.UTF-8), or names of ASCII letters", 2)
     except OSError as error:
         _fail(f"{error.filename or 'file system'}: {error.strerror or error}", 2)

@@ -16,15 +16,15 @@ from ..mix.mix import Mix, read_mix
 def run(name: str, out: Path | None) -> None:
     """Print the properties that follow from a mix; with `out`, also write the concrete's file."""
     if out is not None and (out.exists() or out.suffix not in (".yaml", ".yml")):
-        refuse("out", str(out), "must be a new .yaml file")
+        refuse("out", str(out), "must be the path of a .yaml file that does not exist yet")
     mix = read_mix(name)
     concrete = plain(name, mix)
     click.echo(f"{mix.name}{f' ({mix.source})' if mix.source else ''}\n")
     click.echo(mix.table())
     for remark in mix.remarks:
         click.echo(f"remark: {remark}")
-    click.echo(f"\n--concrete {name} takes it: run tube, part, slump ... (flows), run pipe (elements), line, theory")
-    click.echo(f"a cone of it by elements: {_cone(mix)}")
+    click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows), run pipe (elements), line, theory")
+    click.echo(f"to simulate its slump with elements: {_cone(mix)}")
     if out is not None:
         with whole_file(out) as partial:
             partial.write_text(yaml_text(concrete), encoding="utf-8")

@@ -147,38 +147,41 @@ def run_options() -> list[click.Parameter]:
     """Return the options of every run, which do not depend on its scene."""
     colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
-        click.Option(["--out"], type=click.Path(path_type=Path), help="new run folder  [default: runs/SCENE-NNN]"),
-        click.Option(["--device"], help="cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
+        click.Option(["--out"], type=click.Path(path_type=Path), help="New run folder  [default: runs/SCENE-NNN]"),
+        click.Option(["--device"], help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]"),
         click.Option(["--precision"], type=click.Choice(["float32", "float64"]), default="float32", show_default=True,
-                     help="of positions and forces"),
-        click.Option(["--threads"], type=click.IntRange(1, 1024), help="of a CPU run  [default: one a core]"),
+                     help="Precision of positions and forces"),
+        click.Option(["--threads"], type=click.IntRange(1, 1024),
+                     help="Number of threads of a CPU run  [default: one per core]"),
         click.Option(["--live"], is_flag=False, flag_value="spawn",
-                     help="watch while it runs: opens a Rerun viewer, or give the URL of a running one"),
+                     help="Watch the run in a new Rerun viewer, or in a running one if its URL is given"),
         click.Option(["--bind"], default="127.0.0.1", show_default=True,
-                     help="IP address that a viewer of --live listens on"),
+                     help="IP address that the viewer of --live listens on"),
         click.Option(["--frames"], type=float,
-                     help="recorded frames a simulated second, at most one a sample, or of flows one a step  [default: "
-                     "25, and 30 in a run at least]"),
+                     help="Recorded frames per simulated second; at most one per sample, or for flows one per step  "
+                     "[default: 25, but at least 30 per run]"),
         click.Option(["--colour"], type=click.Choice(colourings),
-                     help="aggregates by force, speed or size; flows by speed, pressure, phase or rate of shear  "
-                     "[default: force of aggregates, shear of what has a surface, phase where there are two, else "
-                     "speed]"),
+                     help="Colour of aggregates (force, speed, size) or of a flow (speed, pressure, phase, shear)  "
+                     "[default: force for aggregates; for flows shear with a free surface, phase with two phases, "
+                     "else speed]"),
         click.Option(["--network"], is_flag=True,
-                     help="record force chains, as wide as contacts press, and bonds"),
+                     help="Record bonds, and force chains with a width by contact force"),
         *(
             click.Option([f"--{kind.name}/--no-{kind.name}"], default=kind.default, show_default=True, help=kind.help)
             for kind in RECORDERS
         ),
         click.Option(["--accuracy"],
-                     help="cheapest settings for this error, as 5%, by the trade of --trade or a shipped one"),
-        click.Option(["--trade"], type=click.Path(path_type=Path), help="folder of a 'warpcrete trade' of this scene"),
-        click.Option(["--pipeline-vertical"], type=float, help="pipeline height [m] for the total pressure (Eq. 13)"),
-        click.Option(["--pipeline-horizontal"], type=float, help="horizontal pipeline length [m] for Eq. 13"),
+                     help="Use the cheapest settings for at most this error, such as 5%, by --trade or a shipped one"),
+        click.Option(["--trade"], type=click.Path(path_type=Path),
+                     help="Folder of a 'warpcrete trade' of this scene, for --accuracy"),
+        click.Option(["--pipeline-vertical"], type=float,
+                     help="Height of the pipeline [m], for its total pressure (Eq. 13)"),
+        click.Option(["--pipeline-horizontal"], type=float, help="Horizontal length of the pipeline [m], for Eq. 13"),
         click.Option(["--pipeline-other"], type=click.Path(path_type=Path),
-                     help="run folder of the other straight unit, for Eq. 13"),
+                     help="Run folder of a straight pipe in the other direction, level or vertical, for Eq. 13"),
         click.Option(["--checkpoint-every"], type=float, default=60.0, show_default=True,
-                     help="seconds of wall time between two checkpoints; 0 writes none"),
+                     help="Wall time between two checkpoints [s]; 0 writes none"),
         click.Option(["--resume"], type=click.Path(path_type=Path),
-                     help="go on with the interrupted run of this folder, as it began"),
-        click.Option(["--quiet"], is_flag=True, help="no progress bar"),
+                     help="Continue the interrupted run in this folder with its own settings"),
+        click.Option(["--quiet"], is_flag=True, help="Show no progress bar"),
     ]  # fmt: skip

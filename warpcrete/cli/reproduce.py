@@ -24,12 +24,14 @@ def run(
     try:
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
-                raise click.UsageError(f"resume = '{resume}': goes on as it began; leave out the rest")
+                raise click.UsageError(
+                    f"resume = '{resume}': continues with its own settings; only --processes may change"
+                )
             if not (resume / RECORD).is_file():
-                raise RunFolderError(f"resume = '{resume}': is no reproduction's folder (it holds no {RECORD})")
+                raise RunFolderError(f"resume = '{resume}': is not the folder of a reproduction (it holds no {RECORD})")
             found = resume_reproduction(resume, processes=processes, progress=tell)
         elif paper is None:
-            raise click.UsageError("paper: name zhan or xu, or --resume FOLDER")
+            raise click.UsageError("paper: is missing; give zhan or xu, or --resume FOLDER")
         else:
             folder = out or next_folder(f"reproduce-{paper}")
             found = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,
@@ -39,5 +41,5 @@ def run(
     click.echo("\n" + (found.folder / "reproduction.md").read_text(encoding="utf-8"))
     click.echo(f"folder: {found.folder}")
     if not found.finished:
-        click.echo(f"go on with: warpcrete reproduce --resume {found.folder}")
+        click.echo(f"continue with: warpcrete reproduce --resume {found.folder}")
         raise SystemExit(INTERRUPTED)

@@ -35,21 +35,21 @@ INTERRUPTED = 130
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
     """Continue an interrupted run in its folder; `live` opens a viewer from here on."""
     if not (folder / "scene.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is no run folder (it holds no scene.json)")
+        raise RunFolderError(f"resume = '{folder}': is not a run folder (it holds no scene.json)")
     record, module = repeatable_scene(folder / "scene.json", modules)
     if is_finished(folder):
-        raise RunFolderError(f"resume = '{folder}': that run is finished")
+        raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
     settings = dict(record.get("command", {}))
     settings = {kind.name: False for kind in RECORDERS} | settings  # Recorders that the old run did not have are off.
     if set(settings) != set(KEPT):
         raise RunFolderError(
-            f"'{folder / 'scene.json'}': does not say how the run was recorded; "
-            "a case of a study goes on with 'warpcrete study --resume'"
+            f"'{folder / 'scene.json'}': was not written by 'warpcrete run' and cannot be resumed by it; "
+            "continue a case of a study with 'warpcrete study --resume'"
         )
     if settings["threads"] > default_threads():
         here, there = default_threads(), settings["threads"]
-        click.echo(f"note: the run began with {there} threads, here are {here}: it goes on, but not with the bits of "
-                   "one that was never cut", err=True)  # fmt: skip
+        click.echo(f"note: the run began with {there} threads and continues with {here}: its results may differ in the "
+                   "last digits from those of an uninterrupted run", err=True)  # fmt: skip
         settings["threads"] = default_threads()
     kept = {"device": record.get("device"), "precision": record.get("precision", "float32")}
     where = {"out": folder, "live": live, "bind": bind, "quiet": quiet}
@@ -85,7 +85,7 @@ def run(
     if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:
-        refuse("network", True, f"draws lines between bodies; {display.noun} has none")
+        refuse("network", True, f"is not possible for {display.noun}, which has no contacts to draw", "leave it out")
     settings = settings | {"threads": settings["threads"] or default_threads()}
     if settings["pipeline_other"] is not None:
         settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())
@@ -114,7 +114,7 @@ def run(
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(
-                    f"resume = '{folder}': interrupted before the run went on; nothing changed"
+                    f"resume = '{folder}': interrupted before the run continued; nothing was changed"
                 ) from None
             raise
         with StopAtSample([simulation]):
@@ -141,7 +141,7 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
     source = settings["pipeline_other"]
     if all(value is None for value in lengths.values()):
         if source is not None:
-            refuse("pipeline_other", str(source), "means nothing without a pipeline",
+            refuse("pipeline_other", str(source), "needs the lengths of a pipeline",
                    "give pipeline_vertical, pipeline_horizontal or both")  # fmt: skip
         return None
     other = read_json(Path(source) / "result.json") if source is not None else None
@@ -171,7 +171,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
-        return [("pipeline, Eq. 13", "none: it goes by the plateau of a finished run")]
+        return [("pipeline, Eq. 13", "not known: it needs the pressure plateau of a finished run")]
     estimate = run.result["pipeline_estimate"]
     total = number(estimate["total_pressure"]) / 1e6
     return [("pipeline, Eq. 13", f"{total:.2f} MPa; other direction from {estimate['other_direction_from']}")]
@@ -190,13 +190,13 @@ def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
         show(label, text)
     speed = result["speed"]
     total = sum(number(speed[key]) for key in ("packing_time", "settling_time", "wall_time") if key in speed)
-    show("time", f"{total:.0f} s for {result['steps']} steps ({number(speed['steps_per_second']):.0f} a second) "
+    show("time", f"{total:.0f} s for {result['steps']} steps ({number(speed['steps_per_second']):.0f} per second) "
          f"on {result['provenance']['device']}")  # fmt: skip
     for name, check in result.get("checks", {}).items():
         show("check", f"{'ok  ' if check['passed'] else 'FAIL'} {name}: {check['found']}")
     if not run.finished:
-        show("interrupted", f"at t = {number(result['simulated_time']):.3f} s; everything so far is written")
+        show("interrupted", f"at t = {number(result['simulated_time']):.3f} s; all results so far are saved")
         if run.folder is not None and (run.folder / "checkpoint.npz").is_file():
-            show("go on with", f"warpcrete run --resume {run.folder}")
+            show("continue with", f"warpcrete run --resume {run.folder}")
     if run.folder is not None:
         show("run folder", f"{run.folder}   (warpcrete view {run.folder})")

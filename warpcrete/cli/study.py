@@ -59,14 +59,14 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
                 options[name], current = [], None
                 continue
             if name in options:
-                raise click.UsageError(f"--{name}: given twice; list its values behind one")
+                raise click.UsageError(f"--{name}: is given twice; write all values after one --{name}")
             current = options.setdefault(name, [value] if given else [])
         elif current is not None:
             current.append(word)
         elif scene is None:
             scene = word
         else:
-            raise click.UsageError(f"{word!r}: belongs to no option")
+            raise click.UsageError(f"{word!r}: belongs to no option; write values after the option they belong to")
     return scene, options
 
 
@@ -85,15 +85,17 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         progress.close()
     report(study)
     if not study.finished:
-        click.echo(f"go on with: warpcrete study --resume {study.folder}")
+        click.echo(f"continue with: warpcrete study --resume {study.folder}")
         raise SystemExit(INTERRUPTED)
     if study.failures:
         if study.lost:
-            click.echo(f"run {', '.join(study.lost)} again with: warpcrete study --resume {study.folder}")
+            click.echo(f"repeat {', '.join(study.lost)} with: warpcrete study --resume {study.folder}")
         raise SystemExit(CASE_FAILED)
     if study.suspect:
         names = ", ".join(f"{name} ({', '.join(checks)})" for name, checks in study.suspect.items())
-        click.echo(f"FAILED: checks of {len(study.suspect)} of {len(study.cases)} cases: {names}; do not trust these")
+        click.echo(
+            f"FAILED: checks of {len(study.suspect)} of {len(study.cases)} cases: {names}; do not use their results"
+        )
         raise SystemExit(CHECK_FAILED)
 
 
@@ -140,12 +142,14 @@ def _resumed(
     folder = settings["resume"]
     given = [n for n in settings if n not in ("resume", "quiet", *WHERE) and settings[n]] + list(options)
     if scene is not None or given:
-        raise click.UsageError(f"resume = '{folder}': goes on as the study began; leave out the rest")
+        raise click.UsageError(
+            f"resume = '{folder}': a study continues with its own settings; leave out the scene and all other options"
+        )
     if not (folder / "study.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is no study's folder (it holds no study.json)")
+        raise RunFolderError(f"resume = '{folder}': is not the folder of a study (it holds no study.json)")
     name = read_record(folder / "study.json").get("scene")
     if name not in modules:
-        raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
+        raise RunFolderError(f"'{folder}': its scene {name!r} does not exist in this version ({', '.join(modules)})")
     return resume_study(folder, modules[name], progress=tell, **_where(settings))
 
 
@@ -192,8 +196,8 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
         if name not in known:
             meant = suggested(name, known).replace("_", "-").replace("'", "")
             raise click.UsageError(
-                f"--{option}: is no parameter of this scene; "
-                + (meant or "'warpcrete run SCENE --help' lists them").replace("you mean ", "you mean --")
+                f"--{option}: is not a parameter of this scene; "
+                + (meant or "'warpcrete run SCENE --help' lists its parameters").replace("you mean ", "you mean --")
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):
@@ -201,7 +205,7 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
         if kind is bool:
             words = words or ["false" if negative else "true"]
         if not words:
-            raise click.UsageError(f"--{option}: needs a value or several")
+            raise click.UsageError(f"--{option}: needs one or more values")
         if kind is float:
             found[name] = [quantity_of(word, known[name], option) for word in words]
         else:

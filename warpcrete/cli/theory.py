@@ -88,7 +88,7 @@ def run(
         share = _share(aggregate, values["concrete"])
         tables.append(segregation_table(concrete, line, share, segregation, flows or (FLOW,)))
     elif aggregate is not None:
-        refuse("aggregate", aggregate, "means nothing without segregation", "--segregation -0.2")
+        refuse("aggregate", aggregate, "needs --segregation", "add, for example, --segregation -0.2")
     click.echo("\n\n".join(tables))
 
 
@@ -98,15 +98,15 @@ def _share(given: float | None, name: str) -> float:
         return given
     mix = mix_named(name)
     if mix is None or mix.given.share is None:
-        refuse("aggregate", None, "must be told for --segregation, as this concrete's share is not known",
-               "--aggregate 0.36")  # fmt: skip
+        refuse("aggregate", None, "is missing: --segregation needs the share of aggregate in the concrete",
+               "add, for example, --aggregate 0.36")  # fmt: skip
     return mix.given.share
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
     """Return A_thix [Pa/s], stated or usual; refuse a stated value without a time of rest."""
     if thixotropy is not None and rest is None:
-        refuse("thixotropy", thixotropy, "means nothing without rest", "--rest 600")
+        refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
     return THIXOTROPY if thixotropy is None else thixotropy
 
 
@@ -117,7 +117,9 @@ def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]
     errors = f"standard errors {fit.slope_error:.2g} Pa s/m and {fit.offset_error:.2g} Pa"
     if len(flows) < 3:
-        errors = "two points do not tell how far they are off"
-    click.echo(f"fitted to {len(flows)} points: --slip-viscosity {fit.slope:.5g} --slip-yield {fit.offset:.5g}; the "
-               f"closed form is then off by {100 * min(off):+.2g} to {100 * max(off):+.2g} %; {errors}\n")  # fmt: skip
+        errors = "two points give no standard errors"
+    click.echo(
+        f"fitted to {len(flows)} points: --slip-viscosity {fit.slope:.5g} --slip-yield {fit.offset:.5g}; "
+        f"the closed form then deviates by {100 * min(off):+.2g} to {100 * max(off):+.2g} %; {errors}\n"
+    )
     return found

@@ -40,7 +40,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     lists = {name: options.pop(name) for name in SEVERAL if name in options}
     for name, values in lists.items():
         if not values:
-            raise click.UsageError(f"--{name}: needs a name or several")
+            raise click.UsageError(f"--{name}: needs one or more names")
     anew = {name: settings.pop(name, None) for name in ON_WORKERS}
     anew["budget"] = seconds(settings.pop("budget", "20min"))
     progress = ProgressBar()
@@ -53,7 +53,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             values = parameter_values(modules[scene], options)
             for name, given in values.items():
                 if len(given) > 1:
-                    raise click.UsageError(f"--{name}: takes one value; what varies are the scene's knobs")
+                    raise click.UsageError(f"--{name}: takes one value; a trade varies the settings of --knob only")
             trade = run_trade(
                 scene, modules[scene], base={name: given[0] for name, given in values.items()}, progress=tell,
                 out=settings.get("out") or next_folder("trade"), repeat=settings.get("repeat"),
@@ -75,13 +75,13 @@ def _resumed(
     folder = settings.pop("resume")
     if scene is not None or settings or rest:
         raise click.UsageError(
-            f"resume = '{folder}': goes on as the trade began; only --budget, --scheduler and --workers are new"
+            f"resume = '{folder}': continues with its own settings; only --budget, --scheduler and --workers may change"
         )
     if not (folder / "trade.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is no trade's folder (it holds no trade.json)")
+        raise RunFolderError(f"resume = '{folder}': is not the folder of a trade (it holds no trade.json)")
     name = read_record(folder / "trade.json").get("scene")
     if name not in modules:
-        raise RunFolderError(f"'{folder}': names no scene of this version ({', '.join(modules)})")
+        raise RunFolderError(f"'{folder}': its scene {name!r} does not exist in this version ({', '.join(modules)})")
     return resume_trade(folder, modules[name], **anew)
 
 
@@ -93,6 +93,8 @@ def report(trade: Trade) -> None:
     left = [p for p in trade.points if not p.failure.startswith("failed") and not trade.complete(p, trade.seeds)]
     click.echo(f"\ntrade folder: {trade.folder}")
     if left or trade.interrupted:
-        click.echo(f"{len(left)} settings not run; go on with: warpcrete trade --resume {trade.folder} --budget 20min")
+        click.echo(
+            f"{len(left)} settings not run; continue with: warpcrete trade --resume {trade.folder} --budget 20min"
+        )
     if trade.interrupted:
         raise SystemExit(INTERRUPTED)

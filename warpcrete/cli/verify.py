@@ -25,9 +25,9 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
     found = find_device(device)
     chosen = [case for case in verification.cases() if only.lower() in f"{case.group}: {case.name}".lower()]
     if not chosen:
-        raise click.UsageError(f"only = {only!r}: names no case ({', '.join(c.name for c in verification.cases())})")
+        raise click.UsageError(f"only = {only!r}: matches no case ({', '.join(c.name for c in verification.cases())})")
     if quick and all(case.slow for case in chosen):
-        raise click.UsageError(f"only = {only!r}: names slow cases only; leave out --quick")
+        raise click.UsageError(f"only = {only!r}: matches slow cases only; leave out --quick")
     results = []
     failed = 0
     for case, rows in verification.run_cases(chosen, str(found), precision, slow=not quick):
@@ -49,5 +49,5 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
             draw(results).savefig(out / "verification.png", dpi=110)
         click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")
     if failed:
-        click.echo(f"FAILED: {failed} answers are off")
+        click.echo(f"FAILED: {failed} results are outside their tolerances")
         raise SystemExit(FAILED)
