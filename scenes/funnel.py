@@ -19,8 +19,8 @@ from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 VOLUME = 0.04
 """Part of the volume that the surface may gain or lose; measured up to 0.021."""
 REMARKS = (
-    "a quarter is computed, between the planes of symmetry",
-    "what leaves the outlet is gone: its weight does not pull",
+    "a quarter of the funnel is simulated, between its planes of symmetry",
+    "concrete is removed at the outlet, so the weight of what has flowed out does not pull on the rest",
 )
 
 
@@ -28,14 +28,14 @@ REMARKS = (
 class FunnelParameters(FreeConcrete):
     """Funnel; its measures are those of EN 12350-9."""
 
-    top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
-    outlet_width: Annotated[float, "[m]", Above()] = 0.065
-    breadth: Annotated[float, "distance of the parallel sides [m]", Above()] = 0.075
-    cone_height: Annotated[float, "of the part that tapers [m]", Above()] = 0.45
-    outlet_height: Annotated[float, "of the straight part below [m]", Above()] = 0.15
-    surfaces: Annotated[str, "of all sides: concrete sticks, or slips by its slip layer",
+    top_width: Annotated[float, "Inner width at the top [m]", Above()] = 0.515
+    outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
+    breadth: Annotated[float, "Distance between the parallel sides [m]", Above()] = 0.075
+    cone_height: Annotated[float, "Height of the tapered section [m]", Above()] = 0.45
+    outlet_height: Annotated[float, "Height of the straight section below it [m]", Above()] = 0.15
+    surfaces: Annotated[str, "Condition on all sides: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
-    spacing: Annotated[float, "of the cells [m]", Above()] = 7.5e-3
+    spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 7.5e-3
 
 
 @scene_function(FunnelParameters)
@@ -48,8 +48,8 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     narrow, brim, throat = given.outlet_width / 2, given.top_width / 2, given.outlet_height
     whole = throat + given.cone_height
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
-        refuse("spacing", given.spacing, "must leave four cells across the outlet",
-               f"take {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
+        refuse("spacing", given.spacing, "must leave room for four cells across the outlet",
+               f"use {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
     # Whole cells over the height, and some above it.
     rows = max(8, round(whole / given.spacing))
     cell = whole / rows
@@ -88,13 +88,13 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a funnel: name -> (passed, what was found)."""
     result = run.result
     if "remaining" not in result:
-        return {"finished": (False, "there is no sample besides that at the start")}
+        return {"finished": (False, "the run recorded no sample after its start")}
     volume, time = result["volume_error"], result.get("funnel_time")
     return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
         "light is seen": (
             time is not None,
-            f"after {number(time):.2f} s" if time else f"{100 * result['remaining']:.0f} % remains",
+            f"after {number(time):.2f} s" if time else f"{100 * result['remaining']:.0f} % of the concrete remains",
         ),
     }
 

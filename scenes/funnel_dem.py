@@ -32,11 +32,11 @@ class FunnelElements(VesselParameters):
 
     HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0, "plastic": 1.0}
 
-    top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
-    outlet_width: Annotated[float, "[m]", Above()] = 0.065
-    breadth: Annotated[float, "distance of the parallel sides [m]", Above()] = 0.075
-    cone_height: Annotated[float, "of the part that tapers [m]", Above()] = 0.45
-    outlet_height: Annotated[float, "of the straight part below [m]", Above()] = 0.15
+    top_width: Annotated[float, "Inner width at the top [m]", Above()] = 0.515
+    outlet_width: Annotated[float, "Inner width of the outlet [m]", Above()] = 0.065
+    breadth: Annotated[float, "Distance between the parallel sides [m]", Above()] = 0.075
+    cone_height: Annotated[float, "Height of the tapered section [m]", Above()] = 0.45
+    outlet_height: Annotated[float, "Height of the straight section below it [m]", Above()] = 0.15
 
 
 @scene_function(FunnelElements)
@@ -51,8 +51,8 @@ def scene(parameters: FunnelElements) -> Scene:
     given = parameters
     narrowest = min(given.outlet_width, given.breadth)
     if given.size_max > narrowest / 2:
-        refuse("size_max", given.size_max, "must leave two grains across the outlet",
-               f"take {narrowest / 2:.3g} m or less")  # fmt: skip
+        refuse("size_max", given.size_max, "must leave room for two grains across the outlet",
+               f"use {narrowest / 2:.3g} m or less")  # fmt: skip
     narrow, brim = given.outlet_width / 2, given.top_width / 2
     throat, whole = given.outlet_height, given.outlet_height + given.cone_height
     inside = prism(
@@ -94,7 +94,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     return found_bad(run) | {
         "light is seen": (
             time is not None,
-            f"after {number(time):.2f} s" if time else f"{100 * run.result['remaining']:.0f} % remains",
+            f"after {number(time):.2f} s" if time else f"{100 * run.result['remaining']:.0f} % of the concrete remains",
         )
     }
 

@@ -29,10 +29,10 @@ SIDES = 12
 class RingElements(SlumpElements):
     """Ring; its measures are those of EN 12350-12."""
 
-    bars: Annotated[int, "round the ring: 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
-    bar_diameter: Annotated[float, "[m]", Above()] = 0.018
-    ring_diameter: Annotated[float, "of the circle through the bars' axes [m]", Above()] = 0.3
-    ring_height: Annotated[float, "of the bars [m]", Above()] = 0.125
+    bars: Annotated[int, "Number of bars of the ring; 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
+    bar_diameter: Annotated[float, "Diameter of the bars [m]", Above()] = 0.018
+    ring_diameter: Annotated[float, "Diameter of the circle through the axes of the bars [m]", Above()] = 0.3
+    ring_height: Annotated[float, "Height of the bars [m]", Above()] = 0.125
 
     @property
     def gap(self) -> float:
@@ -54,11 +54,11 @@ def scene(parameters: RingElements) -> Scene:
     if given.gap <= 0:
         fit = math.floor(math.pi / math.asin(min(given.bar_diameter / given.ring_diameter, 1.0)) - 1e-9)
         refuse("bars", given.bars, f"must leave gaps between bars of {given.bar_diameter:g} m on a ring of "
-               f"{given.ring_diameter:g} m", f"take {fit} or fewer" if fit >= 3 else "take a wider ring")  # fmt: skip
+               f"{given.ring_diameter:g} m", f"use {fit} or fewer" if fit >= 3 else "use a wider ring")  # fmt: skip
     inner = given.ring_diameter - given.bar_diameter
     if inner < max(given.base_diameter, given.top_diameter) + 2 * given.size_max:
-        refuse("ring_diameter", given.ring_diameter, "must leave a grain between mould and bars",
-               f"take {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
+        refuse("ring_diameter", given.ring_diameter, "must leave room for one grain between mould and bars",
+               f"use {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
                "or more")  # fmt: skip
     dimensions = {"ring_diameter": given.ring_diameter, "bar_diameter": given.bar_diameter}
     return lifted_cone(given, "jring", dimensions, (_bars(given),), "mould and bars")

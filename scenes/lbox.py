@@ -35,17 +35,19 @@ VOLUME = 0.07
 class BoxParameters(FreeConcrete):
     """Box; its measures are those of EN 12350-10."""
 
-    column_width: Annotated[float, "along the box [m]", Above()] = 0.1
-    column_height: Annotated[float, "of the concrete at the start [m]", Above()] = 0.6
-    length: Annotated[float, "of the box, the column included [m]", Above()] = 0.7
-    width: Annotated[float, "[m]", Above()] = 0.2
-    opening: Annotated[float, "height of the gate [m]", Above()] = 0.15
-    bars: Annotated[int, "behind the gate: none, 2 or 3", OneOf((0, 2, 3))] = 0
-    bar_diameter: Annotated[float, "[m]", Above()] = 0.012
-    lift_time: Annotated[float, "in which the gate is lifted [s]; 0: it is gone at once", Within(0)] = 0.5
-    surfaces: Annotated[str, "of floor, sides, column and bars: concrete sticks, or slips by the concrete's slip layer",
+    column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
+    column_height: Annotated[float, "Height of the concrete in the column at the start [m]", Above()] = 0.6
+    length: Annotated[float, "Inner length of the box, including the column [m]", Above()] = 0.7
+    width: Annotated[float, "Inner width of the box [m]", Above()] = 0.2
+    opening: Annotated[float, "Height of the gate opening [m]", Above()] = 0.15
+    bars: Annotated[int, "Number of bars behind the gate: 0, 2 or 3", OneOf((0, 2, 3))] = 0
+    bar_diameter: Annotated[float, "Diameter of the bars [m]", Above()] = 0.012
+    lift_time: Annotated[float, "Duration of lifting the gate [s]; 0 removes it at once", Within(0)] = 0.5
+    surfaces: Annotated[str, "Condition on all walls and bars: concrete sticks, or slips on its slip layer",
                         OneOf(("sticks", "slips"))] = "sticks"  # fmt: skip
-    spacing: Annotated[float, "of the cells [m]; bars need at least three for two of their diameters", Above()] = 0.0125
+    spacing: Annotated[
+        float, "Edge length of the cells [m]; bars need at least three cells for two diameters", Above()
+    ] = 0.0125
 
 
 @scene_function(BoxParameters)
@@ -57,23 +59,26 @@ def scene(parameters: BoxParameters) -> FreeScene:
     given = parameters
     if given.length < given.column_width + 0.1:
         refuse(
-            "length", given.length, "leaves no box beyond the column", f"take {given.column_width + 0.3:g} m or more"
+            "length",
+            given.length,
+            "must be at least 0.1 m longer than the column",
+            f"use {given.column_width + 0.3:g} m or more",
         )
     if given.column_height < given.opening + 0.05:
-        refuse("column_height", given.column_height, "is that of the column, above the opening", "take 0.6 m")
+        refuse("column_height", given.column_height, "must be at least 0.05 m above the opening", "use 0.6 m")
     if given.bars and given.spacing > given.bar_diameter / SEEN:
-        refuse("spacing", given.spacing, f"hardly sees bars of {1e3 * given.bar_diameter:g} mm",
-               f"take {given.bar_diameter / SEEN:.2g} m or less, or bars = 0")  # fmt: skip
+        refuse("spacing", given.spacing, f"does not resolve bars of {1e3 * given.bar_diameter:g} mm",
+               f"use {given.bar_diameter / SEEN:.2g} m or less, or bars = 0")  # fmt: skip
     if given.opening < FEWEST * given.spacing:
-        refuse("opening", given.opening, f"must leave {FEWEST} cells", f"take {FEWEST * given.spacing:.2g} m, or "
-               "a finer spacing")  # fmt: skip
+        refuse("opening", given.opening, f"must leave room for {FEWEST} cells", f"use {FEWEST * given.spacing:.2g} m, "
+               "or a finer spacing")  # fmt: skip
     smallest = min(given.column_width, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "must leave four cells across the column and half the box",
-               f"take {smallest / 4:.3g} m or less")  # fmt: skip
+        refuse("spacing", given.spacing, "must leave room for four cells across the column and half the box",
+               f"use {smallest / 4:.3g} m or less")  # fmt: skip
     outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
     if given.bars and outermost > given.width / 2:
-        refuse("width", given.width, f"has no room for {given.bars} bars", f"take {2 * outermost:.3g} m or more")
+        refuse("width", given.width, f"leaves no room for {given.bars} bars", f"use {2 * outermost:.3g} m or more")
     gate, opening, top = given.column_width, given.opening, given.column_height
     thick = THICK * given.spacing
     high = top + 3 * given.spacing
@@ -98,7 +103,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
         plate_slips=given.surfaces == "slips",
         walls_slip=given.surfaces == "slips",
         dimensions={"column_width": gate, "width": given.width},
-        remarks=("half of the box is computed, between its middle plane and a side",),
+        remarks=("half of the box is simulated, between its middle plane and a side",),
         **given.settings(),
     )
 
@@ -129,11 +134,11 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of an L-box: name -> (passed, what was found)."""
     result = run.result
     if "h1" not in result:
-        return {"finished": (False, "there is no sample besides that at the start")}
+        return {"finished": (False, "the run recorded no sample after its start")}
     volume, speed = result["volume_error"], number(result["rest_speed"])
     return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
-        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
+        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
     }
 
 

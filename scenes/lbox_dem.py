@@ -25,12 +25,14 @@ ABOVE = 0.2
 class BoxElements(VesselParameters):
     """Box; its measures are those of EN 12350-10, without bars."""
 
-    column_width: Annotated[float, "along the box [m]", Above()] = 0.1
-    column_height: Annotated[float, "of the concrete at the start, before it settles [m]", Above()] = 0.6
-    length: Annotated[float, "of the box, the column included [m]", Above()] = 0.7
-    width: Annotated[float, "[m]", Above()] = 0.2
-    opening: Annotated[float, "height of the gate [m]", Above()] = 0.15
-    lift_time: Annotated[float, "in which the gate is lifted [s]", Above()] = 0.5
+    column_width: Annotated[float, "Inner width of the column, along the box [m]", Above()] = 0.1
+    column_height: Annotated[
+        float, "Height of the concrete in the column at the start, before it settles [m]", Above()
+    ] = 0.6
+    length: Annotated[float, "Inner length of the box, including the column [m]", Above()] = 0.7
+    width: Annotated[float, "Inner width of the box [m]", Above()] = 0.2
+    opening: Annotated[float, "Height of the gate opening [m]", Above()] = 0.15
+    lift_time: Annotated[float, "Duration of lifting the gate [s]", Above()] = 0.5
 
 
 @scene_function(BoxElements)
@@ -45,13 +47,13 @@ def scene(parameters: BoxElements) -> Scene:
     given = parameters
     gate, width, opening, top = given.column_width, given.width, given.opening, given.column_height
     if given.length < gate + 0.1:
-        refuse("length", given.length, "leaves no box beyond the column", f"take {gate + 0.3:g} m or more")
+        refuse("length", given.length, "must be at least 0.1 m longer than the column", f"use {gate + 0.3:g} m or more")
     if top < opening + 0.05:
-        refuse("column_height", top, "is that of the column, above the opening", "take 0.6 m")
+        refuse("column_height", top, "must be at least 0.05 m above the opening", "use 0.6 m")
     narrowest = min(gate, width, opening)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "must leave four grains across the column and in the opening",
-               f"take {narrowest / 4:.3g} m or less")  # fmt: skip
+        refuse("size_max", given.size_max, "must leave room for four grains across the column and in the opening",
+               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     before = 0.5 * given.size_min
     across = (0.0, 2 * width, 0.0)
@@ -90,7 +92,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of an L-box: name -> (passed, what was found)."""
     speed = number(run.result["rest_speed"])
     return found_bad(run) | {
-        "at rest": (bool(run.result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+        "at rest": (bool(run.result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
     }
 
 

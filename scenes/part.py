@@ -34,7 +34,7 @@ from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings, Section
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
 """Of the friction of straight stretches, against theory."""
-REMARKS = ("concrete enters as a plug, through a plane, and leaves where nothing holds it",)
+REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
 ALONE = Needs("line", lambda line: line is None, "is not given")
@@ -56,30 +56,30 @@ class PartParameters(ConcreteParameters, PartSettings):
         said = {**said_by_line(values), **said_by_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
-    unit: Annotated[str, "how the pipe goes: straight up or level, with a bend between two straight stretches, or as "
-                    "the bore of the mesh in wall does, between two straight stretches; mesh is the default if there "
-                    "is a wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
-    diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
-    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
+    unit: Annotated[str, "Course of the pipe: straight (vertical, horizontal), a bend between two straight pipes, or "
+                    "mesh, the bore of the mesh in wall between two straight pipes, which is the default with a "
+                    "wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), ALONE] = 0.1
+    straight: Annotated[float, "Length of the straight pipes before and behind the bend or taper [m]", Above(),
                         ALONE] = 0.3  # fmt: skip
-    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above(), ALONE] = 0.25
-    angle: Annotated[float, "of a bend [degrees]", Within(5, 135), ALONE] = 90.0
-    outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
-                               "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
-    taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
+    elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), ALONE] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+    outlet_diameter: Annotated[float | None, "Inner diameter behind the taper, which lies in the middle of a straight "
+                               "pipe, or one length straight behind a bend [m]", Above(), ALONE] = None  # fmt: skip
+    taper: Annotated[float, "Length of the taper [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
-    wall: Annotated[str | None, "mesh file (STL, OBJ ...) whose bore stands for the round pipe: it begins at the "
-                    "origin and leads along x, y or z there, or goes as the other units do", ALONE,
+    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore replaces the round pipe: it begins at the "
+                    "origin and leads along x, y or z, or follows the course of the other units", ALONE,
                     FileIf(bool)] = None  # fmt: skip
     wall_scale: Annotated[
-        float, "factor from the unit of the mesh file to metres: 0.001 for mm", Needs("wall", _is_given, "is given"),
+        float, "Factor from the unit of the mesh file to metres, 0.001 for mm", Needs("wall", _is_given, "is given"),
         Above()
     ] = 1.0  # fmt: skip
-    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
-                    "flow and concrete for those that are not given; it must begin and end straight",
+    line: Annotated[str | None, "File or name of a pipeline, which replaces the parameters above, and supplies flow "
+                    "and concrete unless these are given; it must begin and end with a straight part",
                     FileIf(is_file)] = None  # fmt: skip
-    flow: Annotated[float, "volume flow [m3/s]", Above()] = FLOW
-    spacing: Annotated[float, "of the cells [m]; the nearest that divides the radius is taken", Above()] = 0.01
+    flow: Annotated[float, "Volume flow [m3/s]", Above()] = FLOW
+    spacing: Annotated[float, "Edge length of the cells [m], rounded so that it divides the radius", Above()] = 0.01
 
 
 @scene_function(PartParameters)
@@ -138,20 +138,33 @@ def _unit(given: PartParameters) -> _Course:
 def _check_wall(given: PartParameters) -> None:
     """Refuse what a mesh decides itself."""
     if given.outlet_diameter is not None:
-        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+        refuse(
+            "outlet_diameter",
+            given.outlet_diameter,
+            "has no effect with a wall, as the mesh has its own outlet",
+            "leave it out",
+        )
     if given.slip_thickness > 0:
-        refuse("slip_thickness", given.slip_thickness, "cannot be taken off a mesh", "give a mesh that is narrower")
+        refuse(
+            "slip_thickness",
+            given.slip_thickness,
+            "cannot be used with a wall",
+            "make the bore of the mesh narrower instead",
+        )
 
 
 def _mesh(given: PartParameters) -> _Course:
     """Return the course of a mesh's bore, which goes on straight before its start and behind its end."""
     if given.wall is None:
-        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
+        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > FIT:
         refuse(
-            "diameter", given.diameter, f"is not that of the mesh, {bore.ends[0]:.4g} m at the start", "leave it out"
+            "diameter",
+            given.diameter,
+            f"differs from that of the mesh, {bore.ends[0]:.4g} m at its start",
+            "leave it out",
         )
     check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
     inner = bore.axis
@@ -166,7 +179,10 @@ def _mesh(given: PartParameters) -> _Course:
              (given.straight, 2 * wide, 2)]  # fmt: skip
     if meeting(axis, spans, gap) is not None:
         refuse(
-            "wall", given.wall, f"leads within {gap:.3g} m of itself", "take a smaller spacing or straight, or cut it"
+            "wall",
+            given.wall,
+            f"comes within {gap:.3g} m of itself",
+            "use a smaller spacing or straight, or shorten it",
         )
     bores = Bores((0.0,), (given.diameter / 2,))
     check_return(axis, Bores((0.0,), (wide,)), aside=BESIDE * wide + gap)
@@ -181,13 +197,13 @@ def _line(given: PartParameters) -> _Course:
     check_straight_ends(line, given.line)
     for part in line.parts:
         if part.mesh:
-            refuse("line", line.name, f"has a bore from a mesh, part {part.number}, which is simulated alone as a flow",
-                   "take 'warpcrete line', --method dem, or a reducer in its place")  # fmt: skip
+            refuse("line", line.name, f"has a bore from a mesh (part {part.number}), which this scene cannot simulate",
+                   "use 'warpcrete line' or --method dem, or replace it by a reducer")  # fmt: skip
         if part.layer != 1:
-            refuse(f"part {part.number}, hose: layer", part.layer, "is not that of the pipe, and a flow has one layer",
-                   "leave it out, or take 'warpcrete line'")  # fmt: skip
+            refuse(f"part {part.number}, hose: layer", part.layer, "must be 1, as a single slip layer is simulated",
+                   "leave it out, or use 'warpcrete line'")  # fmt: skip
     axis, bores = joined(line.axis), line.bores
-    check_crossing(line, APART * given.spacing, "lead it another way, or take a smaller spacing")
+    check_crossing(line, APART * given.spacing, "change the course of the line, or use a smaller spacing")
     check_return(axis, bores, aside=BESIDE * bores.radii[0] + APART * given.spacing)
     parts = tuple(Section(part.kind, *map(float, between), part.label)
                   for part, between in zip(line.parts, pairwise(ends(line)), strict=True))  # fmt: skip
@@ -223,14 +239,14 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a flow through a part: name -> (passed, what was found)."""
     result = run.result
     if "pressure" not in result:
-        return {"finished": (False, "there is no sample besides that at the start")}
+        return {"finished": (False, "the run recorded no sample after its start")}
     found = {"steady": (result["steady"], f"after {result['simulated_time']['value']:g} s")}
     for name in ("upstream", "downstream") if run.scene.is_round else ():
         ours, theory = (result[f"{name}_gradient{end}"]["value"] for end in ("", "_theory"))
         off = ours / theory - 1
-        found[f"friction {name}"] = (abs(off) < ACCURACY, f"{100 * off:+.2f} % from theory")
+        found[f"friction {name}"] = (abs(off) < ACCURACY, f"{100 * off:+.2f} % deviation from theory")
     outflow = result["outflow_error"]
-    found["volume"] = (abs(outflow) < 1e-3, f"{100 * outflow:+.3f} % more leaves than enters")
+    found["volume"] = (abs(outflow) < 1e-3, f"{100 * outflow:+.3f} % difference of outflow from inflow")
     return found
 
 

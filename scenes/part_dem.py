@@ -111,14 +111,14 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
     narrow = course.narrowest
     yield from law_remarks(given)
     if given.shapes == "spheres":
-        yield "aggregates are single spheres; --shapes reference uses the paper's clumps"
+        yield "aggregates are single spheres; use --shapes reference for the paper's clumps"
     if sizes.largest > WIDEST_STONE * narrow:
         yield (
-            f"the largest aggregates are {sizes.largest / narrow:.2g} of the narrowest bore wide; above "
-            f"{WIDEST_STONE:g} concrete is not pumped (ACI 304.2R)"
+            f"the largest aggregates have {sizes.largest / narrow:.2g} times the diameter of the narrowest bore; "
+            f"above {WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
         )
     if not _stations(given, course).tells_losses:
-        yield "straight stretches are too short for their losses: two slices must lie a radius off their ends"
+        yield "straight pipes are too short for their losses: two slices must be a radius away from their ends"
     if course.line is not None:
         yield from course.line.remarks()
 

@@ -110,7 +110,7 @@ def scene(parameters: PipeParameters) -> Scene:
 
 
 CURES = {
-    "finished": "a shorter --travel, or an --overlap-limit that lets it go on",
+    "finished": "a shorter --travel, or a larger --overlap-limit",
     "momentum balance": "--precision float64, or a smaller --safety",
     "all aggregates inside": "a larger --modulus, or a smaller --safety",
     "no aggregate swallowed": "a larger --modulus, or a smaller --safety",
@@ -139,7 +139,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
             run.finished and result["steps"] > 0 and whole,
             f"travel {travel:.4g} of {goal:.4g} m",
         ),
-        "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
+        "momentum balance": (balance < BALANCED, f"error {100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
@@ -148,11 +148,11 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     passed = _past_plug(run)
     if passed is not None:
         found["plug holds"] = (
-            passed[0] <= LEAK * passed[1], f"{passed[0]} of {passed[1]} aggregates went past it"
+            passed[0] <= LEAK * passed[1], f"{passed[0]} of {passed[1]} aggregates passed the plug"
         )  # fmt: skip
     aggregates = sum(group == "" for group in bodies.group)
     if aggregates < FEWEST:
-        found["enough aggregates"] = (False, f"{aggregates}; {FEWEST} or more stand for concrete")
+        found["enough aggregates"] = (False, f"{aggregates}; at least {FEWEST} are needed to represent concrete")
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
@@ -243,7 +243,7 @@ def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: 
     # Many probes: between the corners of a few facets the wall comes nearest.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
-        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} probes find no wall",
+        refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall",
                "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
     bore = Bore.of(reach)
     return None if bore.is_round(given.radius) else bore
@@ -267,19 +267,19 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
         yield f"concrete {given.concrete}: calibrated {concrete(given.concrete).calibrated}"
     if given.shapes == "spheres":
         yield (
-            "aggregates are single spheres, which run several times as fast as the paper's clumps; "
-            "--shapes reference uses clumps"
+            "aggregates are single spheres, which are several times as fast to simulate as the paper's clumps; "
+            "use --shapes reference for clumps"
         )
         if given.layer_yield or given.layer_viscosity:
-            yield "single spheres roll along the wall's layer where clumps slide, so it bears less than beside clumps"
+            yield "single spheres roll along the slip layer, where clumps slide, so the wall resists them less"
     if sizes.largest > WIDEST_STONE * given.diameter:
         yield (
-            f"the largest aggregates are {sizes.largest / given.diameter:.2g} of the pipe's diameter wide; above "
-            f"{WIDEST_STONE:g} concrete is not pumped (ACI 304.2R)"
+            f"the largest aggregates have {sizes.largest / given.diameter:.2g} times the diameter of the pipe; above "
+            f"{WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
         )
     default = next(field.default for field in fields(given) if field.name == "elbow_radius")
     if not given.is_bend and given.elbow_radius != default:
-        yield f"elbow_radius = {given.elbow_radius:g}: means nothing in a straight pipe"
+        yield f"elbow_radius = {given.elbow_radius:g}: has no effect in a straight pipe"
 
 
 def _is_reference(given: PipeParameters) -> bool:

@@ -33,15 +33,19 @@ where 20 Pa make a layer a few cells thin, which the check is to tell.
 class SlumpParameters(FreeConcrete):
     """Mould and plate."""
 
-    top_diameter: Annotated[float, "of the mould [m]", Above()] = TOP
-    base_diameter: Annotated[float, "of the mould [m]", Above()] = BASE
-    mould_height: Annotated[float, "[m]", Above()] = HEIGHT
-    lift_time: Annotated[float, "in which the mould is lifted by its height [s]; 0: it is gone at once", Within(0)] = (
+    top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = TOP
+    base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = BASE
+    mould_height: Annotated[float, "Height of the mould [m]", Above()] = HEIGHT
+    lift_time: Annotated[float, "Duration of lifting the mould by its height [s]; 0 removes it at once", Within(0)] = (
         3.0
     )
-    plate: Annotated[str, "sticks, or slips by the concrete's slip layer", OneOf(("sticks", "slips"))] = "sticks"
-    plate_radius: Annotated[float | None, "of the plate [m]; default: as the spread will need", Above()] = None
-    spacing: Annotated[float, "of the cells [m]", Above()] = 7.5e-3
+    plate: Annotated[
+        str, "Condition on the plate: concrete sticks, or slips on its slip layer", OneOf(("sticks", "slips"))
+    ] = "sticks"
+    plate_radius: Annotated[
+        float | None, "Radius of the plate [m]; default: large enough for the expected spread", Above()
+    ] = None
+    spacing: Annotated[float, "Edge length of the cells [m]", Above()] = 7.5e-3
 
 
 @scene_function(SlumpParameters)
@@ -77,7 +81,9 @@ def scene(parameters: SlumpParameters) -> FreeScene:
         lift_speed=height / given.lift_time if given.lift_time else 0.0,
         plate_slips=given.plate == "slips",
         published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
-        remarks=("the mould's friction is left out: it opens from below as it is lifted",) if gate else (),
+        remarks=("the friction of the mould is neglected: concrete is released from below as the mould rises",)
+        if gate
+        else (),
         **given.settings(),
     )
 
@@ -102,11 +108,11 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     """Acceptance of a slump: name -> (passed, what was found)."""
     result = run.result
     if "slump" not in result:
-        return {"finished": (False, "there is no sample besides that at the start")}
+        return {"finished": (False, "the run recorded no sample after its start")}
     volume, speed = result["volume_error"], number(result["rest_speed"])
     return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % at most"),
-        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
+        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
     }
 
 

@@ -25,10 +25,10 @@ STRAYS = 0.05
 class SlumpElements(VesselParameters):
     """Mould."""
 
-    top_diameter: Annotated[float, "of the mould [m]", Above()] = 0.1
-    base_diameter: Annotated[float, "of the mould [m]", Above()] = 0.2
-    mould_height: Annotated[float, "[m]", Above()] = 0.3
-    lift_time: Annotated[float, "in which the mould is lifted by its height [s]", Above()] = 3.0
+    top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = 0.1
+    base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = 0.2
+    mould_height: Annotated[float, "Height of the mould [m]", Above()] = 0.3
+    lift_time: Annotated[float, "Duration of lifting the mould by its height [s]", Above()] = 3.0
 
 
 @scene_function(SlumpElements)
@@ -55,8 +55,8 @@ def lifted_cone(
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "must leave four grains across the mould",
-               f"take {narrowest / 4:.3g} m or less")  # fmt: skip
+        refuse("size_max", given.size_max, "must leave room for four grains across the mould",
+               f"use {narrowest / 4:.3g} m or less")  # fmt: skip
     lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
     return Scene(
         name=f"{test}-dem",
@@ -83,8 +83,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     result = run.result
     speed, strays = number(result["rest_speed"]), result["strays"]
     return found_bad(run) | {
-        "one heap": (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left it"),
-        "at rest": (bool(result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),
+        "one heap": (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap"),
+        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
     }
 
 

@@ -14,7 +14,7 @@ from warpcrete.mps.scene import FluidScene
 class TubeParameters(FlowParameters):
     """A column in a round tube."""
 
-    spacing: Annotated[float, "of the particles [m]; the nearest that divides the radius is taken"] = 10e-3
+    spacing: Annotated[float, "Spacing of the particles [m], rounded so that it divides the radius"] = 10e-3
 
 
 @scene_function(TubeParameters)

@@ -79,7 +79,7 @@ def attack(scene: str, size: int, disk: Path, whole: tuple) -> str:
         assert done.returncode == 2 and len(said) == 1 and said[0].startswith("error: "), done.stderr
         assert not re.search(r"\x1b|Traceback", done.stderr + done.stdout), done.stderr
         assert spent < LONGEST, f"it took {spent:.1f} s to end"
-        kept = re.search(r"state at t = (\S+) s is kept", said[0])
+        kept = re.search(r"checkpoint at t = (\S+) s is saved", said[0])
         assert bool(kept) == (folder / "checkpoint.npz").is_file(), said[0]
         subprocess.run(["mount", "-o", f"remount,size={ROOM}", disk], check=True)
         again = ("--resume", folder) if (folder / "scene.json").is_file() else first

@@ -100,26 +100,26 @@ def test_vessels_grip_by_what_a_law_has():
 
 
 @pytest.mark.parametrize("given, message", [
-    (dict(contact="test_laws:Toy"), "contact_push = None: must be given with contact Toy: whatever the overlap"),
+    (dict(contact="test_laws:Toy"), "contact_push = None: is required by contact Toy: whatever the overlap"),
     (TOY | dict(contact_push="much"), "contact_push = 'much': must be a number"),
-    (TOY | dict(contact_pull=1.0), "contact_pull = 1.0: means nothing beside contact = .*; which has contact_push"),
-    (dict(contact_push=1.0), "contact_push = 1.0: means nothing beside contact = None"),
+    (TOY | dict(contact_pull=1.0), "contact_pull = 1.0: has no effect with contact = .*; its parameters are contact"),
+    (dict(contact_push=1.0), "contact_push = 1.0: has no effect with contact = None"),
     (dict(contact="test_laws:Tou"), "contact = 'test_laws:Tou': the module 'test_laws' has no 'Tou'"),
     (dict(contact="nowhere:Toy"), "contact = 'nowhere:Toy': there is no module 'nowhere' on .* set PYTHONPATH"),
     (dict(contact="nowhere.deep:Toy"), "there is no module 'nowhere' on Python's path"),
-    (dict(contact="__main__:Toy"), "put the class of a script or notebook into a file of its own"),
+    (dict(contact="__main__:Toy"), "move the class to a module file of its own"),
     (dict(contact="os:path"), "must be a frozen dataclass that derives from warpcrete.dem.laws.base:ContactLaw"),
-    (dict(contact="warpcrete.dem.laws:ContactLaw"), "must be a frozen dataclass|lacks device_functions"),
+    (dict(contact="warpcrete.dem.laws:ContactLaw"), "must be a frozen dataclass|does not define device_functions"),
     (dict(contact="hertz"), "contact = 'hertz': must be one of linear, hertz-mindlin, .* or package.module:Class"),
     (dict(contact="a b:Toy"), "must be one of linear"),
-    (dict(contact=7), "contact = 7: must be one of linear, .* or an object of such a class"),
+    (dict(contact=7), "contact = 7: must be one of linear, .* or an object of one of these classes"),
     (dict(contact=Toy), "must be one of linear"),
     (dict(contact="linear", contact_friction=-1.0), "contact_friction = -1.0: must be finite and at least 0"),
     (dict(contact="rolling", contact_contact_friction=-1.0), "contact_contact_friction = -1.0: must be"),
-    (TOY | dict(friction=0.2), "friction = 0.2: means nothing unless contact is left out .its parameters are contact_"),
-    (TOY | dict(modulus=2e5), "modulus = 200000.0: means nothing unless contact"),
-    (TOY | dict(layer_yield=2.0), "layer_yield = 2.0: means nothing unless contact"),
-    (dict(wall_contact="linear", wall_friction=0.2), "wall_friction = 0.2: means nothing unless wall_contact"),
+    (TOY | dict(friction=0.2), "friction = 0.2: has no effect unless contact is left out .its parameters are contact_"),
+    (TOY | dict(modulus=2e5), "modulus = 200000.0: has no effect unless contact"),
+    (TOY | dict(layer_yield=2.0), "layer_yield = 2.0: has no effect unless contact"),
+    (dict(wall_contact="linear", wall_friction=0.2), "wall_friction = 0.2: has no effect unless wall_contact"),
 ])  # fmt: skip
 def test_what_names_no_law_or_means_nothing_beside_one_is_refused(given, message):
     with pytest.raises(SceneError, match=message) as found:
@@ -129,7 +129,7 @@ def test_what_names_no_law_or_means_nothing_beside_one_is_refused(given, message
 
 def test_a_vessels_own_law_means_nothing_beside_another():
     for name, value in (("law", "bonds"), ("modulus", 2e5), ("friction", 0.2), ("rolling_friction", 0.4)):
-        with pytest.raises(SceneError, match=f"{name} = .*: means nothing unless contact is left out"):
+        with pytest.raises(SceneError, match=f"{name} = .*: has no effect unless contact is left out"):
             scenes.slump_dem(**TOY, **{name: value})
 
 
@@ -142,10 +142,10 @@ def test_a_law_that_text_does_not_tell_whole_is_recorded_but_not_repeated(tmp_pa
         assert scene.contact == law and changed_fields(scene) == ["contact"]
         record = saved(scene, tmp_path)
         assert json.loads(record.read_text())["modified"]["contact"]["push"] == 1.0
-        assert "is of a scene whose contact changed" in refused("run", record, "--out", tmp_path / "out")
-        with pytest.raises(SceneError, match="cannot be made again in another run or process"):
+        assert "its scene was changed .contact. after" in refused("run", record, "--out", tmp_path / "out")
+        with pytest.raises(SceneError, match="cannot be recreated in another run or process"):
             run_trade("pipe", pipe_module, base={"contact": law}, out=tmp_path / "out", budget=1.0, device="cpu")
-        with pytest.raises(SceneError, match="cannot be made again in another run or process"):
+        with pytest.raises(SceneError, match="cannot be recreated in another run or process"):
             studies.run_study("pipe", pipe_module, {"velocity": [0.1, 0.2]}, base={"contact": law},
                               out=tmp_path / "out", device="cpu")  # fmt: skip
     assert changed_fields(scenes.pipe(contact=Hidden(push=1.0))) == []
@@ -178,7 +178,7 @@ def test_a_law_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path, m
     record = saved(scenes.pipe(contact="my_law:Mine", contact_push=1.0), tmp_path / "run")
     assert list(json.loads(record.read_text())["files"]) == [str(file)]
     file.write_text(file.read_text() + "\n# another\n")
-    assert "my_law.py', which has changed since" in refused("run", record, "--out", tmp_path / "out")
+    assert "my_law.py', which has changed" in refused("run", record, "--out", tmp_path / "out")
     monkeypatch.delitem(sys.modules, "my_law")
     file.unlink()
     assert "my_law.py', which is gone" in refused("run", record, "--out", tmp_path / "out")
@@ -202,8 +202,8 @@ def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
     write_json(tmp_path / "run" / "study.json", study)
     path = list(sys.path)
     for words in (["calibrate", targets], ["run", "run/scene.json"], ["run", "--resume", "run"]):
-        assert "contact = 'evil_law:Evil': is named by a file" in refused(*words)
-    with pytest.raises(SceneError, match=r"is named by a file .* write .warpcrete --trust"):
+        assert "contact = 'evil_law:Evil': comes from a file" in refused(*words)
+    with pytest.raises(SceneError, match=r"comes from a file .* use .warpcrete --trust"):
         studies.load_study(tmp_path / "run")
     assert load(tmp_path / "run").scene.parameters == parameters  # without the scene itself
     assert not (tmp_path / "ran").exists() and "evil_law" not in sys.modules
@@ -213,7 +213,7 @@ def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
     assert (tmp_path / "ran").exists() and sys.path == path
     assert studies.load_study(tmp_path / "run").scene == "pipe"  # the module is there now
     monkeypatch.delitem(sys.modules, "evil_law")
-    with pytest.raises(SceneError, match="is named by a file"):  # trust ends with the command
+    with pytest.raises(SceneError, match="comes from a file"):  # trust ends with the command
         studies.load_study(tmp_path / "run")
 
 
@@ -229,7 +229,7 @@ def test_the_command_lists_and_checks_a_laws_options(tmp_path, monkeypatch):
     assert "there is no module 'nowhere'" in refused("run", "pipe", "--contact", "nowhere:Toy", "--contact-push", "1")
     assert "contact_push = None" in refused("explain", "pipe", "--contact", "test_laws:Toy")
     wrong = run(cli, ["study", "pipe", "--contact", "test_laws:Toy", "--contact-pull", "1", "2"])
-    assert wrong.exit_code == 2 and "--contact-pull: is no parameter of this scene" in wrong.output
+    assert wrong.exit_code == 2 and "--contact-pull: is not a parameter of this scene" in wrong.output
     monkeypatch.setattr(studies, "run_in_processes", lambda *rest: None)
     run(cli, ["study", "pipe", "--contact", "test_laws:Toy", "--contact-push", "1", "2", "--device", "cpu", "--out",
               str(tmp_path / "study")])  # fmt: skip

@@ -55,13 +55,13 @@ def test_names_in_files_hold_nothing_that_a_terminal_obeys():
     line = {"diameter": 0.125, "parts": [{"straight": 1}]}
     assert line_of(line | {"name": "a\x1b[2J\nb"}).name == "a\\x1b[2J b"
     for name in ({"a": 1}, ["a"]):
-        with pytest.raises(SceneError, match=r"name = .*: must be a text of one line"):
+        with pytest.raises(SceneError, match=r"name = .*: must be text of one line"):
             line_of(line | {"name": name})
 
 
 def test_unlikely_bends_hoses_and_pipes_of_points_are_told():
     for part in ({"bend": {"to": "up", "radius": 500}}, {"hose": {"points": [[1, 0, 0]], "layer": 80}}):
-        with pytest.warns(PlausibilityWarning, match="is unlikely"):
+        with pytest.warns(PlausibilityWarning, match="is unusual"):
             line_of({"diameter": 0.125, "parts": [{"straight": 1}, part]})
     points = {"points": [[0.005, 1e5], [0.01, 2e5]], "diameter": 125, "length": 12}
     with pytest.raises(SceneError, match=r"mix layer: diameter = 125\.0: is impossible.*125 mm\?"):

@@ -144,7 +144,7 @@ def test_one_size_is_a_distribution():
 def test_a_simulation_runs_once(device):
     simulation = Simulation(Scene(name="one", duration=0.01, bodies=(ball(),)), device=device)
     simulation.run()
-    with pytest.raises(WarpcreteError, match="has run"):
+    with pytest.raises(WarpcreteError, match="has already run"):
         simulation.run()
 
 
@@ -166,8 +166,14 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
         (lambda: scenes.pipe(shapes=5), "shapes = 5: must be text"),
         (lambda: scenes.pipe(bonds="no"), "bonds = 'no': must be True or False"),
         (lambda: scenes.pipe(seed=1.5), "seed = 1.5: must be a whole number"),
-        (lambda: scenes.pipe(diametre=0.1), "parameter = 'diametre': is none of scene pipe; did you mean 'diameter'"),
-        (lambda: scenes.slump_dem(nonsense=1), "parameter = 'nonsense': is none of scene slump-dem; known are"),
+        (
+            lambda: scenes.pipe(diametre=0.1),
+            "parameter = 'diametre': is not a parameter of scene pipe; did you mean 'diameter'",
+        ),
+        (
+            lambda: scenes.slump_dem(nonsense=1),
+            "parameter = 'nonsense': is not a parameter of scene slump-dem; must be one of",
+        ),
         (lambda: ball(sizes=[1.0, 2.0]), "sizes = .*must be one number or 1 numbers"),
         (lambda: ball(positions="here"), "positions = 'here'"),
         (lambda: ball(orientations=np.array([[0, 2.0, 0, 2.0]])), "must be unit quaternions"),

@@ -93,7 +93,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, limit, file):
     done = limited(limit, "run")
     lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
     assert done.returncode == 2 and len(lines) == 1, done.stderr
-    assert file in lines[0] and "cannot be written" in lines[0] and "no state was kept" in lines[0]
+    assert file in lines[0] and "cannot be written" in lines[0] and "no checkpoint was saved" in lines[0]
     assert (tmp_path / "run" / "scene.json").is_file()
     assert not list((tmp_path / "run").glob("*partial*")) and not list((tmp_path / "run").glob("*.partial"))
 
@@ -176,14 +176,14 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
 @pytest.mark.parametrize(
     ("scene", "options", "words"),
     [
-        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: means nothing unless aggregates is on"),
-        ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: means nothing unless aggregates is on"),
-        ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: means nothing unless bonds is on"),
-        ("pipe", ["--facets", 32], "facets = 32: means nothing unless wall is mesh"),
-        ("pipe", ["--hydration-modulus", 1e6], "hydration_modulus = 1000000.0: means nothing unless hydration is"),
-        ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: means nothing unless wall is a file"),
-        ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: means nothing unless plug is"),
-        ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: means nothing unless sizes is"),
+        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: has no effect unless aggregates is on"),
+        ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: has no effect unless aggregates is on"),
+        ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: has no effect unless bonds is on"),
+        ("pipe", ["--facets", 32], "facets = 32: has no effect unless wall is mesh"),
+        ("pipe", ["--hydration-modulus", 1e6], "hydration_modulus = 1000000.0: has no effect unless hydration is"),
+        ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: has no effect unless wall is a file"),
+        ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: has no effect unless plug is"),
+        ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: has no effect unless sizes is"),
         ("tube", ["--time-step", 10], "time_step = 10.0: lets the piston pass more than half a particle a step"),
         ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of diameter"),
         ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),

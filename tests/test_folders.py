@@ -113,7 +113,7 @@ def test_files_of_the_user_stay(tmp_path):
     Hold(tmp_path).release()
     assert [path.name for path in tmp_path.iterdir()] == ["partial-thesis.pdf"]
     for resume in (resume_reproduction, lambda folder: resume_calibration(folder, {})):
-        with pytest.raises(RunFolderError, match=r"/nope': is no folder; give"):
+        with pytest.raises(RunFolderError, match=r"/nope': is not a folder; give"):
             resume(tmp_path / "nope")
 
 
@@ -142,7 +142,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
         monkeypatch.setattr(Hold, "__init__", wait)
 
     late("result.json")
-    with pytest.raises(RunFolderError, match=r"exists already, and that run is finished"):
+    with pytest.raises(RunFolderError, match=r"exists already and holds a finished run"):
         flow(folder, going_on=True).begin(folder / "checkpoint.npz")
     (folder / "result.json").unlink()
     late()
@@ -259,7 +259,7 @@ class Failing(Recorder):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_recording_that_fails_costs_itself_alone(tmp_path, whole, method):
     failing = Failing(method, ValueError("no paint"))
-    with pytest.warns(UserWarning, match="^Failing failed, the run goes on without it: no paint$") as told:
+    with pytest.warns(UserWarning, match="^Failing failed, and the run continues without it: no paint$") as told:
         run = flow(tmp_path / "run", failing).run()
     assert run.finished and same(tmp_path / "run", whole) and len(told) == 1 and failing.closed == 1
 
@@ -270,7 +270,7 @@ def test_a_full_disk_ends_the_run_which_goes_on_when_there_is_room(tmp_path, who
     with pytest.raises(DiskFullError) as told:
         flow(tmp_path / "run", Failing(method, full)).run()
     assert str(told.value).startswith(f"'{tmp_path / 'run' / 'film'}': cannot be written (No space left on device); ")
-    kept = float(re.search(r"; the state at t = (\S+) s is kept; free some space", str(told.value))[1])
+    kept = float(re.search(r"; the checkpoint at t = (\S+) s is saved; free some space", str(told.value))[1])
     assert not is_finished(tmp_path / "run") and not (tmp_path / "run" / LOCK).exists()
     again = flow(tmp_path / "run")
     again.begin(tmp_path / "run" / "checkpoint.npz")
@@ -308,7 +308,7 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
     assert tried[:4] == ["scene.json", "state", "result.json", "film"]
     text = str(told.value)
     assert "result.json': cannot be written (quota); neither can" in text and f"'{tmp_path / 'film'}'" in text
-    assert "no state was kept" in text and "\n" not in text
+    assert "no checkpoint was saved" in text and "\n" not in text
 
 
 def test_a_checkpoint_writes_state_result_and_recordings_in_this_order(tmp_path, monkeypatch):
@@ -404,7 +404,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_is_begun_again(tmp_pa
     for again in (words, ["run", "--resume", str(folder), "--quiet"]):
         kill_early()
         other = CliRunner().invoke(cli, [*words, "--flow=0.002"])
-        assert "exists already, with another run (its parameters differs)" in str(other.exception)
+        assert "exists already and holds another run (its parameters differs)" in str(other.exception)
         done = CliRunner().invoke(cli, again)
         assert done.exit_code == 3 and is_finished(folder), done.output  # a check fails: it is too short
         assert "exists already" in str(CliRunner().invoke(cli, words).exception)

@@ -127,7 +127,7 @@ def test_arguments_are_bound_by_name():
         first[wp.tid()] = second[wp.tid()]
 
     assert bound(two, {"second": 2, "first": 1}) == [1, 2]
-    with pytest.raises(TypeError, match=r"missing \['second'\], not among its parameters \['third'\]"):
+    with pytest.raises(TypeError, match=r"arguments \['second'\] are missing, and \['third'\] are not parameters"):
         bound(two, {"first": 1, "third": 3})
 
 

@@ -101,7 +101,7 @@ def test_the_inner_surface_keeps_the_facets_of_the_bore_alone(tmp_path):
 @pytest.mark.parametrize(
     ("cut", "words"),
     [
-        (lambda x: x[:, 0] < 0.5, r"encloses the axis from 0 to 0\.50\d* m, and the part goes from 0 to 0\.6 m"),
+        (lambda x: x[:, 0] < 0.5, r"encloses the axis from 0 to 0\.50\d* m, but the part extends from 0 to 0\.6 m"),
         (lambda x: x[:, 0] > 0.1, r"encloses the axis from 0\.09\d* to 0\.6 m"),
         (lambda x: (np.abs(x[:, 0] - 0.3) > 0.06) | (x[:, 1] < 0), r"has gaps along the axis: \d+ of \d+ sections are"),
         (lambda x: (np.abs(x[:, 0] - 0.31) > 0.006) | (x[:, 1] < 0.049), r"is not closed: \d+ border edges lie"),
@@ -151,7 +151,7 @@ def test_a_mesh_that_begins_before_its_origin_is_refused(tmp_path, begin):
     axis = Axis((begin, 0, 0), (1, 0, 0), (Line(0.6),))
     bent(tmp_path / "tube.stl", axis)
     for make in (scenes.part, scenes.part_dem):
-        with pytest.raises(SceneError, match="goes on behind its origin, where it should begin; move it so that"):
+        with pytest.raises(SceneError, match="extends behind its origin, where it should begin; move it so that"):
             make(wall=str(tmp_path / "tube.stl"))
 
 
@@ -160,7 +160,7 @@ def test_walls_that_nothing_can_follow_are_refused(tmp_path):
     s, radii = [0, 0.2, 0.19, 0.25, 0.26, 0.6], [0.05, 0.05, 0.06, 0.06, 0.05, 0.05]
     points, faces = STRAIGHT.swept(np.array(s), np.array(radii), 64)
     trimesh.Trimesh(points, faces, process=False).export(tmp_path / "groove.stl")
-    with pytest.raises(SceneError, match=r"has parts of its wall that an edge hides from the axis, 0\.[12]\d* m"):
+    with pytest.raises(SceneError, match=r"has an undercut .wall that is not visible from the axis. 0\.[12]\d* m"):
         scenes.part(unit="horizontal", wall=str(tmp_path / "groove.stl"), **FLOW)
     for make in (scenes.part, scenes.part_dem):
         with pytest.raises(SceneError, match="unit = 'mesh': needs a wall"):
@@ -208,8 +208,8 @@ def test_elements_go_through_a_bent_bore(tmp_path):
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        (lambda mesh: mesh.apply_translation((0.2, 0.1, 0)), "has no closed section at its origin"),
-        (lambda mesh: mesh.apply_translation((0, 0.01, 0)), r"does not begin at its origin: .* lies 0\.01 m beside"),
+        (lambda mesh: mesh.apply_translation((0.2, 0.1, 0)), "has no closed cross-section at its origin"),
+        (lambda mesh: mesh.apply_translation((0, 0.01, 0)), r"does not begin at its origin: .* is 0\.01 m away"),
         (lambda mesh: mesh.apply_scale(1e3), r"diameter = 99\.9\d*: is impossible: .* 99\.9\d* mm\?"),
     ],
 )

@@ -156,5 +156,5 @@ def test_a_start_on_the_surface_itself_is_no_section(tmp_path):
     trimesh.creation.box(bounds=[[0, 0, 0], [0.4, 0.1, 0.1]]).export(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(SceneError, match="has no closed section at its origin"):
+        with pytest.raises(SceneError, match="has no closed cross-section at its origin"):
             scenes.part(wall=str(path), diameter=0.1)

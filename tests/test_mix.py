@@ -161,7 +161,7 @@ def test_points_of_tribometer_and_viscometer():
                   "layer": {"tribometer": [["10 cm/s", 110], [0.3, 290]]}})  # fmt: skip
     assert [mix[name].value for name in ("viscosity", "yield stress", "slip viscosity", "slip yield")] == pytest.approx(
         [40, 60, 900, 20])  # fmt: skip
-    assert "two points do not tell" in mix["slip yield"].source
+    assert "two points give no uncertainty" in mix["slip yield"].source
     assert (mix["slip viscosity"].low, mix["slip viscosity"].high) == pytest.approx((0.85 * 900, 1.15 * 900))
 
 
@@ -268,7 +268,9 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     assert "with a slip layer that resists 1.5 times less or more" in given.output
     assert "layer_factor = 0.0" in str(CliRunner().invoke(cli, ["line", str(site), "--layer-factor", "0"]).exception)
     written(tmp_path, BULK | {"sizes": ["20 mm", "130 mm"]})
-    assert "largest_stone = 0.13: does not pass part 1" in str(CliRunner().invoke(cli, ["line", str(site)]).exception)
+    assert "largest_stone = 0.13: does not pass through part 1" in str(
+        CliRunner().invoke(cli, ["line", str(site)]).exception
+    )
 
 
 def test_theory_says_how_far_a_fit_is_off(tmp_path):
@@ -293,42 +295,42 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
-        (["density"], "mix = ['density']: must be 'key: value' lines"),
+        (["density"], "mix = ['density']: must hold 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
-        ({"density": 2300}, "mix = 'density': does not tell the concrete's yield stress"),
+        ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
         ({"spread": 0.6}, "mix density = None: must be given"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),
-        (SPREADING | {"density": 2.3}, "mix density = 2.3: must be in [1000, 5000] kg/m3; '2.35 t/m3' has its unit"),
+        (SPREADING | {"density": 2.3}, "mix density = 2.3: must be in [1000, 5000] kg/m3; write another unit as in '2.35 t/m3'"),
         (SPREADING | {"density": "2300 kg/cm3"}, "mix density = '2300 kg/cm3': must be a number with one of kg/m3"),
         (SPREADING | {"spread": "60 mn"}, "mix spread = '60 mn': must be a number with one of m, mm, cm"),
         (SPREADING | {"spread": 600}, "mix spread = 600.0: must be in [0.35, 1.2] m"),
-        (SPREADING | {"spread": 0.45}, "mix t500 = '4 s': needs the spread at rest, of 500 mm or more"),
-        ({"density": 2300, "t500": 3}, "mix t500 = 3: needs the spread"),
-        ({"density": 2300, "slump": "26 cm"}, "mix slump = 0.26: must be in [0.01, 0.24] m; of softer concrete"),
-        (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume: more than stones packed"),
-        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume: more than stones packed as they fall, 0.57"),
-        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume, up to 1, or have a unit"),
-        (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume: more than stones packed"),
+        (SPREADING | {"spread": 0.45}, "mix t500 = '4 s': needs a final spread of 500 mm or more"),
+        ({"density": 2300, "t500": 3}, "mix t500 = 3: needs a final spread"),
+        ({"density": 2300, "slump": "26 cm"}, "mix slump = 0.26: must be in [0.01, 0.24] m; use spread for softer concrete"),
+        (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume: more than loosely packed stones"),
+        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume: more than loosely packed stones fill, 0.57"),
+        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume up to 1, or have a unit"),
+        (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume: more than loosely packed stones"),
         (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves a mortar of 1067 kg/m3"),
         (SPREADING | {"parts": {"cement": 300, "water": 200}}, "= 2300.0: contradicts its parts, which add up to 500"),
         (SPREADING | {"sieve": {4: 0, 8: 0.6, 12: 0.5, 16: 1}}, "falls from 0.6 at 8 mm to 0.5 at 12 mm"),
         (SPREADING | {"sieve": {4: 0.1, 16: 1}}, "must rise from 0 to 1"),
-        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "has fines: what is below some 4 mm is mortar"),
-        (SPREADING | {"sieve": {16: 0, 4: 1}}, "must have its openings above 0 and rising"),
+        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "has fines: grains below about 4 mm are part of the mortar"),
+        (SPREADING | {"sieve": {16: 0, 4: 1}}, "must have increasing openings above 0"),
         (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "is given together with sieve"),
         (SPREADING | {"sizes": [5, 20]}, "mix sizes, the largest = 20.0: must be in [0.001, 0.3] m; '20 mm'"),
         (SPREADING | {"shape": "pointy"}, "mix shape = 'pointy': must be one of spheres, round"),
-        (SPREADING | {"mortar": {"viscosity": 9}}, "needs the share of coarse aggregate in it"),
+        (SPREADING | {"mortar": {"viscosity": 9}}, "needs the share of coarse aggregate in the concrete"),
         (BULK | {"aggregate": 0.36, "mortar": {"viscosity": "40 Pa s", "uncertainty": 0.1}},
          "mix viscosity = '40 (36 to 44) Pa s by concrete': contradicts 158 (134 to 280) Pa s by mortar"),
-        (BULK | {"aggregate": 0.3, "mortar": {"density": 2600}}, "and the mortar's is given as 2600"),
+        (BULK | {"aggregate": 0.3, "mortar": {"density": 2600}}, "but the density of the mortar is given as 2600"),
         (BULK | {"concrete": {"viscosity": "40 Pa.m"}}, "mix concrete: viscosity = '40 Pa.m': must be a number"),
         (BULK | {"concrete": {"viscosity": 40, "yeild_stress": 6}}, "mix concrete: key = 'yeild_stress'"),
         (BULK | {"layer": {"viscosity": 900}}, "must have yield_stress and viscosity, or points, or tribometer"),
-        (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': is no file"),
+        (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
         (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be given"),
-        (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "needs two or more points"),
-        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}}, "mix slip viscosity = -50.0: is what the line"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
+        (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}}, "mix slip viscosity = -50.0: is the result of a straight line"),
         (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},
          "contradicts 19.3 (17 to 26.7) Pa by spread of 700 mm; leave out"),
     ],

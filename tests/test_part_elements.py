@@ -143,8 +143,8 @@ def test_short_stretches_are_told():
         (dict(outlet_diameter=0.02), r"^size_max = 0\.02: must be below the pipe's diameter, 0\.02 m"),
         (dict(unit="bend-level", elbow_radius=0.03), r"^elbow_radius = 0\.03: must exceed the pipe's radius"),
         (dict(ramp=0.1), r"^ramp = 0\.1: must not exceed the travel, 0\.04 m"),
-        (dict(taper=0.2), r"^taper = 0\.2: means nothing unless outlet_diameter is given"),
-        (dict(line="burj-khalifa"), r"^diameter = 0\.08: means nothing unless line is not given"),
+        (dict(taper=0.2), r"^taper = 0\.2: has no effect unless outlet_diameter is given"),
+        (dict(line="burj-khalifa"), r"^diameter = 0\.08: has no effect unless line is not given"),
         (dict(unit="up"), r"^unit = 'up': must be one of vertical"),
     ],
 )
@@ -158,7 +158,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
     [
         ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "must begin and end straight: part 1 is a bend"),
         ("[{straight: 0.2}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 1}]",
-         "comes back past the plane in which it begins"),
+         "returns across the plane of its inlet"),
     ],
 )  # fmt: skip
 def test_lines_that_cannot_be_pushed_through_are_refused(tmp_path, parts, told):
@@ -258,10 +258,10 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
 @pytest.mark.parametrize(
     "said, told",
     [
-        ({"points": [[0, 1, 0], [0, 2, 0]]}, "lead 90 degrees away from where the line goes"),
+        ({"points": [[0, 1, 0], [0, 2, 0]]}, "begin at an angle of 90 degrees to the direction of the line"),
         ({"points": [[1, 0, 0], [1.1, 0.02, 0], [1.15, 0.12, 0], [1.15, 1, 0]]}, "bend it to a radius of"),
         ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter apart"),
-        ({"points": [[1, 0]]}, "must each be three lengths"),
+        ({"points": [[1, 0]]}, "must each have three lengths"),
         ({"points": "there"}, "must be a list of points"),
         ({"points": [[1, 0, "2 bar"]]}, "must be a number with one of m"),
         ({"points": [[1, 0, 0]], "layer": 0}, "layer = 0"),

@@ -161,7 +161,7 @@ def test_frames_turn_places_and_turn_them_back():
         ({"unit": "horizontal", "straight": 0.05}, "straight = 0.05: is too short for a straight stretch, half of it,"),
         ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
         ({"flow": float("nan")}, "flow = nan"),
-        ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': is no file"),
+        ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': cannot be read"),
         ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "is the mesh's own"),
     ],
 )
@@ -188,7 +188,7 @@ def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
 def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):
     box = tmp_path / "box.stl"
     trimesh.creation.box((0.3, 0.01, 0.3)).export(box)
-    with pytest.raises(SceneError, match=r"encloses the axis from -0\.15 to 0\.15 m, and the part goes"):
+    with pytest.raises(SceneError, match=r"encloses the axis from -0\.15 to 0\.15 m, but the part extends"):
         scenes.part(unit="horizontal", wall=str(box))
     wide = tmp_path / "wide.stl"
     tube = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),)).tube(0.08, before=0.1, after=0.1)

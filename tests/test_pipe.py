@@ -138,7 +138,7 @@ def test_layers_of_the_plug():
     scene = scenes.pipe(unit="C", plug_layers=4)
     one = scenes.pipe(unit="C", plug_layers=1)
     assert len(scene.bodies[0].positions) == 4 * len(one.bodies[0].positions)
-    with pytest.raises(SceneError, match="plug_layers = 2: means nothing unless plug is balls"):
+    with pytest.raises(SceneError, match="plug_layers = 2: has no effect unless plug is balls"):
         scenes.pipe(plug="none", plug_layers=2)
 
 

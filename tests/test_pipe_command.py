@@ -132,7 +132,7 @@ BAD = [
     (["--friction", "-1"], "friction = -1.0"),
     (["--shapes", "cubes"], "shapes = 'cubes'"),
     (["--sizes", "5:0,20"], "sizes = '5:0,20'"),
-    (["--wall", "missing.stl"], "missing.stl': is no file"),
+    (["--wall", "missing.stl"], "missing.stl': cannot be read"),
     (["--hydration", "1.5"], "hydration"),
     (["--time-step", "0.01"], "time_step = 0.01"),
     (["--unit", "elbow-up", "--travel", "2"], "travel = 2.0"),

@@ -116,7 +116,7 @@ def test_flows_that_never_rested_know_nothing_of_it(device):
         (dict(ends="piston", rest=600.0), "rest = 600.0: is of flows on a grid"),
         (dict(ends="periodic", rest=-1.0), "rest = -1.0: must be"),
         (dict(ends="periodic", rest=math.nan), "rest = nan: must be"),
-        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: means nothing unless rest is above 0"),
+        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),
         (dict(ends="periodic", rest=5.0, breakdown=0.0), "breakdown = 0.0: must be"),
     ],
 )

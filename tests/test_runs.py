@@ -38,7 +38,7 @@ def test_a_run_comes_back_from_its_folder(ran):
     assert back["particles"] == ran.result["particles"]
     assert "finished, 0.02 s" in repr(back) and "<table>" in back._repr_html_()
     assert "pressure" in back._ipython_key_completions_() and "finished" not in back._ipython_key_completions_()
-    with pytest.raises(KeyError, match=r"'presure'; it has pressure"):
+    with pytest.raises(KeyError, match=r"'presure'; similar names are pressure"):
         back["presure"]
 
 
@@ -58,15 +58,15 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     assert warpcrete.load(cut).series == {}
     for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
         (cut / "series.csv").write_bytes(text)
-        says = r"series\.csv': (is no series of a run|cannot be read .line 2: is no UTF-8 text)"
+        says = r"series\.csv': (is not a series of a run|cannot be read .line 2: is not UTF-8 text)"
         with pytest.raises(RunFolderError, match=says):
             warpcrete.load(cut)
 
 
 def test_what_is_no_run_folder_is_refused(ran, tmp_path):
-    with pytest.raises(RunFolderError, match=r"none': is no folder$"):
+    with pytest.raises(RunFolderError, match=r"none': is not a folder$"):
         warpcrete.load(tmp_path / "none")
-    with pytest.raises(RunFolderError, match=r"is no run folder \(it holds no scene\.json\)$"):
+    with pytest.raises(RunFolderError, match=r"is not a run folder \(it holds no scene\.json\)$"):
         warpcrete.load(tmp_path)
     study = tmp_path / "study"
     shutil.copytree(ran.folder, study / "001")
@@ -101,7 +101,7 @@ def test_a_series_is_a_table(ran, monkeypatch):
         and table.attrs["units"] == ran.units
     )
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[notebook\]'; run\.series has the same"):
+    with pytest.raises(WarpcreteError, match=r"pip install 'warpcrete\[notebook\]', or use the arrays in run\.series"):
         ran.table()
 
 
@@ -123,19 +123,19 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RunFolderError, match=r"holds no run\.rrd; record one"):
+    with pytest.raises(RunFolderError, match=r"contains no run\.rrd; record one"):
         ran.view()
     with pytest.raises(RunFolderError, match=r"the run has no folder"):
         Simulation(scenes.channel(duration=0.001, spacing=0.01, length=0.1), device="cpu", threads=1).run().view()
     for name in ("run.rrd", "run-001.rrd"):
         (tmp_path / name).write_bytes(b"")
     refused = CliRunner().invoke(cli, ["view", str(tmp_path)])
-    assert "there is no screen here (DISPLAY is not set); --web" in str(refused.exception)
+    assert "no screen was found (DISPLAY is not set); use --web" in str(refused.exception)
     served = viewer(tmp_path, web=True)
     place = served.command.index(str(tmp_path / "run.rrd"))
     assert served.command[place + 1 :][:4] == [str(tmp_path / "run-001.rrd"), "--serve-web", "--bind", "127.0.0.1"]
     assert served.address.startswith("http://127.0.0.1:") and {host for host, _ in served.listens} == {"127.0.0.1"}
-    for bind, words in (("no address", "must be an IP address"), ("203.0.113.1", "is no address of this machine")):
+    for bind, words in (("no address", "must be an IP address"), ("203.0.113.1", "is not an address of this machine")):
         with pytest.raises(SceneError, match=f"^bind = '{bind}': {words}"):
             viewer(tmp_path, web=True, bind=bind)
     monkeypatch.setenv("DISPLAY", ":0")

@@ -135,7 +135,7 @@ def test_the_study_command(tmp_path):
     again = command("study", "--resume", str(out), "--quiet")
     assert again.returncode == 0 and "2 of 2 cases done" in again.stdout
     for words, complaint in (
-        (["pipe", "--speed", "1"], "--speed: is no parameter"),
+        (["pipe", "--speed", "1"], "--speed: is not a parameter"),
         (["pipe", "--velocity", "fast"], "must be a number"),
         (["chute", "--velocity", "1"], "scene = 'chute'"),
         (["pipe", "--velocity", "0.3", "--repeat", "0"], "repeat = 0"),
@@ -152,7 +152,7 @@ def test_what_means_nothing_in_a_case_is_left_out_with_all_that_hangs_on_it(tmp_
     given = dict(bonds=False, hydration=0.1, hydration_modulus=1e8, bond_modulus=1e4)
     assert scene.meaningful(given) == {"bonds": False}
     assert scene.meaningful(given | {"bonds": True}) == given | {"bonds": True}
-    with pytest.raises(SceneError, match="facets = 32: means nothing unless wall is mesh"):
+    with pytest.raises(SceneError, match="facets = 32: has no effect unless wall is mesh"):
         run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE | {"facets": 32}, out=tmp_path / "s")
     with pytest.raises(SceneError, match="hydration = 'x': must be a number"):
         run_study("pipe", pipe_module, {"hydration": [0.1, "x"]}, base=BASE | {"hydration_modulus": 1e7},

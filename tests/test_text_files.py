@@ -44,10 +44,10 @@ def test_plain_words_mean_what_yaml_1_2_says(tmp_path, text, value):
 
 BAD = {
     "a: 1\nb: 2\na: 3\n": "line 3: has the key 'a' twice, first in line 1",
-    "a: .inf\n": "line 1: has .inf, which is no finite number",
+    "a: .inf\n": "line 1: has .inf, which is not a finite number",
     "a: 1\nb: -.INF\n": "line 2: has -.INF",
     "a: .nan\n": "line 1: has .nan",
-    "a: 1e999\n": "line 1: has 1e999, which is beyond all numbers",
+    "a: 1e999\n": "line 1: has 1e999, which is too large for a number",
     "a: !!int abc\n": "line 1: has the tag !!int before 'abc'",
     "a: !!bool maybe\n": "line 1: has the tag !!bool",
     "a: !!timestamp 2020-02-31\n": "line 1: has the tag !!timestamp",
@@ -55,25 +55,25 @@ BAD = {
     "\na: " + "9" * 6000: "line 2: has a number of 6000 digits",
     "a: " + "[" * 5000: "is nested too deeply",
     "a: " + "[" * 5000 + "]" * 5000: "is nested too deeply",
-    "? [1, 2]\n: 3\n": "line 1: has a key that is no text",
-    "{a: 1}: 2\n": "line 1: has a key that is no text",
-    "a: &x [1, *x]\n": "line 1: has an alias of what it stands in",
-    "a: [1, 2": "line 1: is no YAML: expected ',' or ']'",
-    "a:\tb\n\tc: 1\n": "is no YAML: found character '\\t'",
-    "a: 1\n---\nb: 2\n": "line 2: is no YAML",
+    "? [1, 2]\n: 3\n": "line 1: has a key that is not text",
+    "{a: 1}: 2\n": "line 1: has a key that is not text",
+    "a: &x [1, *x]\n": "line 1: has an alias that refers to itself",
+    "a: [1, 2": "line 1: is not valid YAML: expected ',' or ']'",
+    "a:\tb\n\tc: 1\n": "is not valid YAML: found character '\\t'",
+    "a: 1\n---\nb: 2\n": "line 2: is not valid YAML",
     "a: !!map [1]\n": "line 1: has the tag !!map before a list",
-    "a: *nowhere\n": "line 1: is no YAML",
-    "- 1\n": "holds a list, not 'key: value' lines",
-    "": "holds nothing",
-    "12": "holds a number",
-    b"a: \xff\n": "line 1: is no UTF-8 text; save it as UTF-8",
-    b"a: 1\n\xfc: 2\n": "line 2: is no UTF-8 text",
-    "a: 1".encode("utf-16"): "is no UTF-8 text",
-    b"a: 1\n\x00\n": "line 2: holds a NUL character",
+    "a: *nowhere\n": "line 1: is not valid YAML",
+    "- 1\n": "contains a list instead of 'key: value' lines",
+    "": "contains nothing",
+    "12": "contains a number",
+    b"a: \xff\n": "line 1: is not UTF-8 text; save it as UTF-8",
+    b"a: 1\n\xfc: 2\n": "line 2: is not UTF-8 text",
+    "a: 1".encode("utf-16"): "is not UTF-8 text",
+    b"a: 1\n\x00\n": "line 2: contains a NUL character",
     "a: [" + "1, " * (MOST_SETTINGS // 3) + "1]": "is too large",
     "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"{new}: &{new} [{', '.join([f'*{old}'] * 10)}]\n" for old, new in zip("abcde", "bcdef")
-    ): "holds more than 50,000 values",
+    ): "contains more than 50,000 values",
 }  # fmt: skip
 
 
@@ -97,11 +97,11 @@ def test_whatever_is_wrong_with_a_file_is_one_line_with_its_place(tmp_path, cont
 def test_json_is_read_as_strictly(tmp_path):
     for text, says in (
         ('{"flow": {"density": 1, "density": 2}}', "has the key 'density' twice"),
-        ('{"a": NaN}', "NaN is no number"),
-        ('{\n"a": 1,\n}', "line 3: is no JSON"),
-        ('{"a": ' + "9" * 5000 + "}", "holds a number of 5000 digits"),
+        ('{"a": NaN}', "NaN is not a number"),
+        ('{\n"a": 1,\n}', "line 3: is not valid JSON"),
+        ('{"a": ' + "9" * 5000 + "}", "contains a number of 5000 digits"),
         ('{"a": ' + "[" * 100_000, "is nested too deeply"),
-        ("[1]", "holds a list"),
+        ("[1]", "contains a list"),
     ):
         with pytest.raises(SceneError, match=says):
             read_mapping(written(tmp_path, text, "c.json"), "concrete")
@@ -122,9 +122,9 @@ def special_files(folder):
     os.truncate(sparse, 10**12)
     return {
         "/dev/full": "it is a device", str(folder / "fifo.yaml"): "it is a pipe", str(sparse): "is too large",
-        str(folder / "folder.yaml"): "it is a directory", str(folder / "loop.yaml"): "is no file that can be read",
-        "nowhere.yaml": "is no file that can be read", "a\0b.yaml": "holds a NUL character",
-        "x" * 100_000 + ".yaml": "is no file that can be read",
+        str(folder / "folder.yaml"): "it is a directory", str(folder / "loop.yaml"): "cannot be read",
+        "nowhere.yaml": "cannot be read", "a\0b.yaml": "contains a NUL character",
+        "x" * 100_000 + ".yaml": "cannot be read",
     }  # fmt: skip
 
 
@@ -158,13 +158,13 @@ def test_every_command_opens_files_by_the_one_reader(arguments, tmp_path, monkey
 
 CSV = {
     "flow [m3/h],pressure [bar]\n10,3,10\n20,4,5\n": "line 2: has 3 values where the header names 2 columns; write",
-    "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; fill them",
-    "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; leave out one",
+    "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; fill in all",
+    "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; remove one of them",
     "flow [m3/h];pressure [bar]\n10,3;1,5\n20;4\n": "separates columns by semicolons; separate them by commas",
     'flow [m3/h],pressure [bar]\n"10,3",3\n20,4\n': "line 2: flow = '10,3 m3/h': must be a number",
-    "": "holds no rows",
-    "\n\n": "holds no rows",
-    'flow [m3/h],pressure [bar]\n"10,3\n': "is no CSV",
+    "": "contains no rows",
+    "\n\n": "contains no rows",
+    'flow [m3/h],pressure [bar]\n"10,3\n': "is not valid CSV",
     "flow [m3/h],pressure [bar]\n35000,3\n20,4\n": "line 2: flow = 9.72222222222222",
     "flow,pressure\n35,3\n20,4\n": "is impossible: must be 1e-12 to 1 m3/s",
 }
@@ -176,7 +176,7 @@ def test_tables_of_another_shape_are_refused(tmp_path, text):
         read_points(written(tmp_path, text, "points.csv"))
     assert CSV[text] in str(refused.value)
     if '"10,3",' in text:
-        assert "a decimal comma? write a point, as 10.3" in str(refused.value)
+        assert "write a decimal point instead of a decimal comma, as in 10.3" in str(refused.value)
 
 
 def test_tables_are_read_with_their_units_and_line_ends(tmp_path):
@@ -223,7 +223,8 @@ def test_what_is_written_is_read_again(tmp_path):
 
 
 def test_files_of_a_run_are_read_by_the_same_reader(tmp_path):
-    for content, says in ((b"{", "line 1: is no JSON"), (b"\xff", "no UTF-8"), (b"[]", "holds no JSON object"),
+    for content, says in ((b"{", "line 1: is not valid JSON"), (b"\xff", "not UTF-8"),
+                          (b"[]", "does not contain a JSON object"),
                           (b"[" * 100_000, "nested too deeply")):  # fmt: skip
         path = written(tmp_path, content, "result.json")
         with pytest.raises(RunFolderError, match=says):

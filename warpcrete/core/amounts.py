@@ -69,7 +69,7 @@ def amount(field: str, given: Any, unit: str) -> float:
         if text is not None and (not text[2] or text[2] in known):
             found = float(text[1]) * known[text[2] or unit]
         elif re.match(r"\s*[-+]?\d+,\d", given):
-            more = "; a decimal comma? write a point, as 10.3"
+            more = "; write a decimal point instead of a decimal comma, as in 10.3"
         elif text is not None and (meant := suggested(text[2], known)):
             more = f"; {meant}"
     elif isinstance(given, NUMBERS) and not isinstance(given, bool):
@@ -78,5 +78,5 @@ def amount(field: str, given: Any, unit: str) -> float:
     if not math.isfinite(found):
         units = f"with one of {', '.join(known)}" if unit != "1" else "without a unit, or with %"
         refuse(field, given, f"must be a number {units}{more}",
-               f"without one it is in {unit}" if unit != "1" else "")  # fmt: skip
+               f"a number without a unit is in {unit}" if unit != "1" else "")  # fmt: skip
     return found

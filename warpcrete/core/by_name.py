@@ -125,9 +125,9 @@ class ByName(Spread):
             return type(value)
         if isinstance(value, str) and value in self.classes:
             return self.classes[value]
-        words = f"must be one of {', '.join(self.classes)}, or package.module:Class of your own"
+        words = f"must be one of {', '.join(self.classes)}, or package.module:Class for your own class"
         if not isinstance(value, str):
-            refuse(field.name, value, f"{words}, or an object of such a class")
+            refuse(field.name, value, f"{words}, or an object of one of these classes")
         module, colon, name = value.partition(":")
         if not (colon and name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
             refuse(field.name, value, words)
@@ -136,8 +136,8 @@ class ByName(Spread):
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:
     if module not in sys.modules and _from_file.get() and not _trusted.get():
-        refuse(field.name, value, "is named by a file and would run the code of that module",
-               f"if you trust it, import {module} before, or write 'warpcrete --trust ...'")  # fmt: skip
+        refuse(field.name, value, "comes from a file and would run the code of this module",
+               f"if you trust it, import {module} first, or use 'warpcrete --trust ...'")  # fmt: skip
     try:
         with _folder_on_path():
             found = getattr(importlib.import_module(module), name, None)
@@ -145,12 +145,12 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error
         refuse(field.name, value, f"there is no module {error.name!r} on Python's path",
-               "run it from the module's folder, or set PYTHONPATH to that folder")  # fmt: skip
+               "start the program in the folder of the module, or set PYTHONPATH to that folder")  # fmt: skip
     except Exception as error:  # whatever a module of the user's raises
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SceneError(f"{field.name} = {value!r}: cannot be imported ({said})") from error
     if found is None:
-        hint = "put the class of a script or notebook into a file of its own" if module == "__main__" else "check it"
+        hint = "move the class to a module file of its own" if module == "__main__" else "check the name of the class"
         refuse(field.name, value, f"the module {module!r} has no {name!r}", hint)
     return _checked(field, found, value)
 
@@ -161,7 +161,7 @@ def _checked(field: Field, found: Any, name: str) -> type:
         refuse(field.name, name, f"must be a frozen dataclass that derives from {kind.__module__}:{kind.__name__}")
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
-        refuse(field.name, name, f"lacks {', '.join(missing)}", "define them")
+        refuse(field.name, name, f"does not define {', '.join(missing)}", "define them in the class")
     return found
 
 
@@ -203,7 +203,7 @@ def _object(name: str, kind: type, given: Any, values: Mapping[str, Any]) -> Any
         elif key in values:
             changes[own] = values[key]
         elif given is None and field.default is MISSING and own not in factories:
-            refuse(key, None, f"must be given with {name} {kind.__name__}: {field.help}")
+            refuse(key, None, f"is required by {name} {kind.__name__}: {field.help}")
     try:
         return kind(**changes) if given is None else replace(given, **changes)
     except SceneError as error:

@@ -75,22 +75,24 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
     except FileNotFoundError:
-        raise RunFolderError(f"'{path}': there is no checkpoint") from None
+        raise RunFolderError(f"'{path}': does not exist; start the run again") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
-        raise RunFolderError(f"'{path}': is cut short, damaged or no checkpoint; start the run anew") from error
+        raise RunFolderError(f"'{path}': is damaged or not a checkpoint; start the run again") from error
     if "text" not in arrays or "digest" not in arrays:
         raise RunFolderError(f"'{path}': is not a checkpoint of warpcrete")
     wanted = arrays.pop("digest").tobytes()
     if _digest(arrays) != wanted:
-        raise RunFolderError(f"'{path}': is damaged (its contents do not match its digest); start the run anew")
+        raise RunFolderError(f"'{path}': is damaged (its contents do not match its digest); start the run again")
     text = json.loads(arrays.pop("text").tobytes())
     if text.get("warpcrete checkpoint") != FORMAT:
         found = text.get("warpcrete checkpoint")
-        raise RunFolderError(f"'{path}': has checkpoint format {found!r}, this version reads {FORMAT}")
+        raise RunFolderError(
+            f"'{path}': has checkpoint format {found!r}, but this version reads {FORMAT}; start the run again"
+        )
     if text["versions"] != versions():
         raise RunFolderError(
-            f"'{path}': was written by {_shown(text['versions'])}, here is {_shown(versions())}; resume with those "
-            "versions, or start the run anew"
+            f"'{path}': was written by {_shown(text['versions'])}, but {_shown(versions())} is installed; resume with "
+            "the old versions, or start the run again"
         )
     for what, found, here in (
         ("precision", text["precision"], precision),
@@ -99,11 +101,13 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
     ):
         if found != here:
             shown = "another scene" if what == "scene" else f"{what} {found!r}, not {here!r}"
-            raise RunFolderError(f"'{path}': belongs to {shown}; resume with what the run was started with")
+            raise RunFolderError(
+                f"'{path}': belongs to {shown}; resume with the settings with which the run was started"
+            )
     if text["processor"] != processor():
         warnings.warn(
-            f"'{path}': was written on {text['processor']}, here is {processor()}: the run goes on, but not with the "
-            "bits of one that was never cut",
+            f"'{path}': was written on {text['processor']}, and continues on {processor()}: results may differ in the "
+            "last digits from those of an uninterrupted run",
             stacklevel=2,
         )
     return {key: _unflatten(value, arrays) for key, value in text["contents"].items()}

@@ -85,19 +85,24 @@ def _shipped(name: str) -> NamedConcrete:
 def _read(path: Path, depth: int) -> NamedConcrete:
     given = read_mapping(path, "concrete")
     if depth > LONGEST_CHAIN:
-        refuse("concrete base", str(path), "is its own base, or one of too many", "end the chain of bases")
+        refuse(
+            "concrete base",
+            str(path),
+            f"is part of a chain of more than {LONGEST_CHAIN} bases or of a loop",
+            "shorten the chain of bases",
+        )
     for key in given:
         if key not in KEYS:
             with within(given, key):
-                refuse("concrete", str(path), f"has the key {key!r}", known_names(key, KEYS))
+                refuse("concrete", str(path), f"has the unknown key {key!r}", known_names(key, KEYS))
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
     sections = {}
     for section in SECTIONS:
         found = given.get(section) or {}
         if not isinstance(found, Mapping):
             with within(given, section):
-                refuse(f"concrete {section}", found, "must be 'name: value' lines",
-                       "indent them below the section's name")  # fmt: skip
+                refuse(f"concrete {section}", found, "must hold 'name: value' lines",
+                       "indent them below the name of the section")  # fmt: skip
         sections[section] = dict(found)
     mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
@@ -108,9 +113,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
-        refuse(
-            "concrete", str(path), "says nothing of elements or flow", "give it one of these sections, a mix or a base"
-        )
+        refuse("concrete", str(path), "defines no properties", "add a section elements, flow or mix, or a base")
     return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
 
 
@@ -118,8 +121,8 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     if is_file(name):
         return _read(path.parent / name, depth + 1)
     if name not in shipped():
-        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file beside {path.name}",
-               suggested(name, shipped()))  # fmt: skip
+        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file in "
+               f"the folder of {path.name}", suggested(name, shipped()))  # fmt: skip
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 
@@ -127,5 +130,5 @@ def known_only(section: str, values: Mapping[str, Any], known: Collection[str], 
     """Values of a section of the concrete `name`, all of which must be `known`."""
     for key in values:
         if key not in known:
-            refuse(f"concrete {section}", key, f"is not known (in {name})", known_names(key, known))
+            refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))
     return dict(values)

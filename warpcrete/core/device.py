@@ -50,7 +50,7 @@ def find_device(name: str | None) -> Any:
     if name is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     if name.startswith("cuda") and not wp.is_cuda_available():
-        raise DeviceError(f"device = {name!r}: no usable CUDA GPU here; use one of {', '.join(available)}")
+        raise DeviceError(f"device = {name!r}: no usable CUDA GPU was found; use one of {', '.join(available)}")
     try:
         return wp.get_device(name)
     except ValueError as error:
@@ -101,7 +101,7 @@ def checked_threads(threads: int | None) -> int:
         return default_threads()
     cores = os.cpu_count() or 1
     if not 1 <= threads <= cores:
-        refuse("threads", threads, f"must be in [1, {cores}], the cores of this machine")
+        refuse("threads", threads, f"must be in [1, {cores}], the number of cores of this machine")
     return threads
 
 

@@ -270,7 +270,7 @@ class Display(ABC):
 
     def pose(self) -> Pose:
         """Where rigid bodies are."""
-        raise TypeError(f"{type(self).__name__} draws no rigid bodies")
+        raise TypeError(f"{type(self).__name__} does not draw rigid bodies")
 
     def body_colours(self) -> np.ndarray:
         """RGB bytes of all bodies, shape (n, 3)."""

@@ -58,7 +58,7 @@ class ConvergenceError(InstabilityError):
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
             f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (maximum_iterations "
-            f"= {maximum}); residual {residual:.3g}, on the way {path}; usual cures: a smaller time step, {looser}more "
+            f"= {maximum}); residual {residual:.3g} after {path}; usual cures: a smaller time step, {looser}more "
             "iterations, precision float64"
         )
 
@@ -128,7 +128,7 @@ def known_names(word: Any, known: Iterable[Any]) -> str:
     meant = suggested(word, names)
     if meant and len(names) > FEW:
         return meant
-    return f"known are {', '.join(names)}" + (f"; {meant}" if meant else "")
+    return f"must be one of {', '.join(names)}" + (f"; {meant}" if meant else "")
 
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:

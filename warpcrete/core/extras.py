@@ -11,4 +11,4 @@ def needs_extra(extra: str, *packages: str) -> None:
     """Raise :class:`WarpcreteError` where a package of an extra is not installed."""
     for package in packages:
         if find_spec(package) is None:
-            raise WarpcreteError(f"{extra}: needs the package {package}; pip install 'warpcrete[{extra}]'")
+            raise WarpcreteError(f"{extra}: needs the package {package}; run pip install 'warpcrete[{extra}]'")

@@ -58,7 +58,7 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
     cause = error if known else room_in(path.parent, needed) or error
     reason = getattr(cause, "strerror", None) or " ".join(str(cause).split()) or type(cause).__name__
     kind = DiskFullError if is_full(cause) else RunFolderError
-    return kind(f"'{path}': cannot be written ({reason}); what is on disk so far is kept")
+    return kind(f"'{path}': cannot be written ({reason}); files written so far are kept")
 
 
 def is_full(error: BaseException) -> bool:
@@ -134,8 +134,8 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
-    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; put a copy of the file "
-                         "back, or begin anew")  # fmt: skip
+    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; restore the file, or "
+                         "start again in a new folder")  # fmt: skip
 
 
 def check_new(folder: Path) -> None:
@@ -143,7 +143,9 @@ def check_new(folder: Path) -> None:
     try:
         there = folder.exists() or folder.is_symlink()
     except OSError as error:
-        raise RunFolderError(f"out = '{folder}': cannot be a folder ({error.strerror})") from error
+        raise RunFolderError(
+            f"out = '{folder}': cannot be used as a folder ({error.strerror}); choose another path"
+        ) from error
     if there and not is_empty(folder):
         raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
     made: list[Path] = []
@@ -155,7 +157,7 @@ def check_new(folder: Path) -> None:
                 made.append(parent)
         probe.touch()
     except OSError as error:
-        raise RunFolderError(f"out = '{folder}': cannot be made ({error.strerror}); choose another place") from error
+        raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     finally:
         with suppress(OSError):
             probe.unlink(missing_ok=True)

@@ -56,8 +56,8 @@ class Hold:
             os.close(file)
             if time.monotonic() > end:
                 raise RunFolderError(
-                    f"'{self.folder}': is in use by {owner or 'another process'}; wait until it ends, or take another "
-                    "folder"
+                    f"'{self.folder}': is in use by {owner or 'another process'}; wait until it ends, or choose "
+                    "another folder"
                 )
             time.sleep(0.05)
 
@@ -106,8 +106,8 @@ def _is_at(file: int, path: Path) -> bool:
 def held(folder: Path, record: str) -> Iterator[None]:
     """Hold a folder that is there while the block runs; raises :class:`RunFolderError` for one without its record."""
     if not (folder / record).is_file():
-        missing = f"holds no {record}" if folder.is_dir() else "is no folder"
-        raise RunFolderError(f"'{folder}': {missing}; give the folder of the run that is to go on")
+        missing = f"holds no {record}" if folder.is_dir() else "is not a folder"
+        raise RunFolderError(f"'{folder}': {missing}; give the folder of an interrupted run")
     hold = Hold(folder)
     try:
         yield
@@ -122,7 +122,7 @@ def make_folder(folder: Path) -> Hold:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunFolderError(f"out = '{folder}': cannot be made ({error.strerror})") from error
+        raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     hold = Hold(folder)
     if not is_empty(folder):  # another run was faster
         hold.release()

@@ -52,7 +52,9 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
     names = parameter_names(kernel)
     missing, strange = [n for n in names if n not in named], sorted(set(named) - set(names))
     if missing or strange:
-        raise TypeError(f"kernel {kernel.key}: missing {missing}, not among its parameters {strange}")
+        raise TypeError(
+            f"kernel {kernel.key}: arguments {missing} are missing, and {strange} are not parameters of the kernel"
+        )
     return [named[name] for name in names]
 
 

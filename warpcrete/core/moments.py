@@ -86,7 +86,7 @@ class Arriving:
         flag, begun = self._views[""], time.monotonic()
         while flag[0] == 0:
             if time.monotonic() - begun > LONGEST:
-                raise RuntimeError(f"copies of what is drawn have not come from the device within {LONGEST:g} s")
+                raise RuntimeError(f"copying the arrays for drawing from the device took longer than {LONGEST:g} s")
             time.sleep(GLANCE)
         return self._views[name]
 

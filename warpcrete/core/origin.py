@@ -65,8 +65,8 @@ def check_files(where: Path, files: Mapping[str, str]) -> None:
     if changed := changed_files(files):
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(
-            f"'{where}': its scene was made with '{changed[0]}', which {'is gone' if gone else 'has changed since'}; "
-            "put the file back, or begin anew"
+            f"'{where}': its scene was made with '{changed[0]}', which {'is missing' if gone else 'has changed'}; "
+            "restore the file, or start a new run"
         )
 
 
@@ -120,8 +120,8 @@ def check_named(scene: Any) -> None:
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
     for name in (*made.lost, *hidden):
-        refuse(name, made[name], "cannot be made again in another run or process",
-               "put its class into a module of its own, with all its fields declared")  # fmt: skip
+        refuse(name, made[name], "cannot be recreated in another run or process",
+               "define its class in a module file, and declare all its fields")  # fmt: skip
 
 
 def readable(value: Any) -> Any:

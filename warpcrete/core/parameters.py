@@ -161,7 +161,7 @@ class Field:
             try:
                 return float(value)
             except OverflowError:
-                refuse(name, value, "is beyond what can be computed with", "use SI units")
+                refuse(name, value, "is too large to compute with", "use SI units")
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
@@ -172,7 +172,7 @@ class Field:
             words = WORDS.get(self.kind, f"a {self.kind.__name__}")
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
         if isinstance(value, str) and "\0" in value:
-            refuse(name, value, "holds a NUL character", "leave it out")
+            refuse(name, value, "contains a NUL character", "remove it")
         if any(rule.test(value) for rule in self.of_kind(FileIf)):
             return os.path.realpath(value)
         return value
@@ -243,7 +243,7 @@ class Declared:
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
-                    refuse(name, getattr(self, name), f"means nothing unless {rule.field} {rule.words}",
+                    refuse(name, getattr(self, name), f"has no effect unless {rule.field} {rule.words}",
                            f"leave it out, or change {rule.field}")  # fmt: skip
 
 
@@ -289,11 +289,11 @@ class SceneFunction(Generic[P, S]):
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
         if args:
-            refuse("parameters", args, "must be given by name", f"known are {', '.join(known)}")
+            refuse("parameters", args, "must be given by name", f"the names are {', '.join(known)}")
         values = self.assembled(self.completed(given))
         for name in values:
             if name not in known:
-                refuse("parameter", name, f"is none of scene {self.name}",
+                refuse("parameter", name, f"is not a parameter of scene {self.name}",
                        known_names(name, known))  # fmt: skip
         try:
             for name, value in values.items():  # each by itself, before any of them is computed with
@@ -309,7 +309,7 @@ class SceneFunction(Generic[P, S]):
             return scene
         except MemoryError as error:
             raise SceneError(
-                f"scene {self.name}: needs more memory than there is; make it smaller, or its bodies or cells larger"
+                f"scene {self.name}: needs more memory than is available; reduce it, or make its bodies or cells larger"
             ) from error
         except (OverflowError, ZeroDivisionError) as error:
             numbers = {name: value for name, value in values.items()
@@ -318,9 +318,7 @@ class SceneFunction(Generic[P, S]):
             if not numbers:
                 raise
             name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
-            raise SceneError(
-                f"{name} = {quoted(numbers[name])}: is beyond what can be computed with; use SI units"
-            ) from error
+            raise SceneError(f"{name} = {quoted(numbers[name])}: is too large to compute with; use SI units") from error
 
     @property
     def name(self) -> str:
@@ -357,8 +355,8 @@ class SceneFunction(Generic[P, S]):
                     if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
                         value = values.get(field.name)
                         own = ", ".join(rule.fields(field, value))
-                        refuse(name, found[name], f"means nothing beside {field.name} = {value!r}",
-                               f"which has {own}" if own else f"leave it out, or change {field.name}")  # fmt: skip
+                        hint = f"its parameters are {own}" if own else f"leave it out, or change {field.name}"
+                        refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
         return found
 
     def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -424,7 +422,7 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, 
             if alias.name in values:
                 value = field.number(values.pop(alias.name), alias.name)
                 if name in values:
-                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one")
+                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one of them")
                 try:
                     values[name] = alias.convert(value) if alias.convert and value is not None else value
                 except TypeError as error:

@@ -98,7 +98,7 @@ class Recording:
     @staticmethod
     def _warn(recorder: Recorder, error: Exception) -> None:
         reason = " ".join(str(error).split()) or type(error).__name__
-        warnings.warn(f"{kind_of(recorder)} failed, the run goes on without it: {reason}", stacklevel=2)
+        warnings.warn(f"{kind_of(recorder)} failed, and the run continues without it: {reason}", stacklevel=2)
 
 
 def kind_of(recorder: Recorder) -> str:
@@ -111,8 +111,8 @@ def full_disk(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
 
     `kept` is the simulated time of the state on disk [s], None if there is none.
     """
-    first = " ".join(str(errors[0]).split()).partition("; what is on disk")[0]
+    first = " ".join(str(errors[0]).split()).partition("; files written so far")[0]
     more = [text.partition(": ")[0] for text in dict.fromkeys(map(str, errors[1:])) if not text.startswith(first)]
     missing = f"; neither can {', '.join(more)}" if more else ""
-    state = "no state was kept" if kept is None else f"the state at t = {kept:.6g} s is kept"
-    return DiskFullError(f"{first}{missing}; {state}; free some space, then go on with --resume")
+    state = "no checkpoint was saved" if kept is None else f"the checkpoint at t = {kept:.6g} s is saved"
+    return DiskFullError(f"{first}{missing}; {state}; free some space, then continue with --resume")

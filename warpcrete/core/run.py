@@ -63,8 +63,8 @@ class Run:
         """
         if name not in self._numbers():
             alike = difflib.get_close_matches(name, self._numbers(), 3)
-            what = f"; it has {', '.join(alike)}" if alike else f" of {', '.join(self._numbers())}"
-            raise KeyError(f"the run found no quantity {name!r}{what}")
+            what = f"; similar names are {', '.join(alike)}" if alike else f"; it has {', '.join(self._numbers())}"
+            raise KeyError(f"the run has no quantity {name!r}{what}")
         return self._numbers()[name]
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -125,7 +125,9 @@ class Run:
         there is no recording, or no screen.
         """
         if self.folder is None:
-            raise RunFolderError("the run has no folder: 'warpcrete run SCENE --out FOLDER' makes one with a recording")
+            raise RunFolderError(
+                "the run has no folder; run 'warpcrete run SCENE --out FOLDER' to get a folder with a recording"
+            )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
         if web:
@@ -152,7 +154,7 @@ def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) 
         import pandas
     except ImportError:
         raise WarpcreteError(
-            "a table is a DataFrame of pandas: pip install 'warpcrete[notebook]'; run.series has the same as arrays"
+            "run.table needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
         ) from None
     found = pandas.DataFrame(dict(columns))
     if index in found:
@@ -168,10 +170,10 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
-        raise RunFolderError(f"'{run}': holds no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
+        raise RunFolderError(f"'{run}': contains no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
     if not web and not has_screen():
-        raise RunFolderError(f"'{run}': there is no screen here (DISPLAY is not set); --web serves it to a browser, "
-                             f"and {recording} opens on any machine with 'rerun {recording.name}'")  # fmt: skip
+        raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
+                             f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip
     # An unfinished run lies in parts; they are one recording to the viewer.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
     return (web_viewer if web else screen_viewer)([recording, *parts], bind)

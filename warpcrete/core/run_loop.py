@@ -88,7 +88,9 @@ class Simulation:
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
             hint = (
-                "warpcrete.Simulation takes every scene" if wanted else "warpcrete.scenes has functions that make some"
+                "warpcrete.Simulation accepts every scene"
+                if wanted
+                else "create one with a function of warpcrete.scenes"
             )
             refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
         return super().__new__(kind)
@@ -307,7 +309,7 @@ class Simulation:
     def run(self) -> Run:
         """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
         if self._ran:
-            raise WarpcreteError("this simulation has run; make a new Simulation for another run")
+            raise WarpcreteError("this simulation has already run; create a new Simulation for another run")
         with telling(self.tell):
             if not self.prepared:
                 self.begin()
@@ -467,7 +469,7 @@ class Simulation:
             except RunFolderError as error:  # the one before is still there
                 if is_full(error):
                     raise
-                warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
+                warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)
         self._saved = wall_clock.perf_counter()
 
     def _checkpoint_if_due(self) -> None:

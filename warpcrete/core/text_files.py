@@ -71,7 +71,9 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
         text = _text(path, MOST_SETTINGS)
         found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
         if not isinstance(found, dict):
-            raise Unreadable(f"holds {_kind_of(found)}, not 'key: value' lines", "see a shipped one")
+            raise Unreadable(
+                f"contains {_kind_of(found)} instead of 'key: value' lines", "compare it with a shipped file"
+            )
     except Unreadable as error:
         refuse(field, str(path), error.reason, error.hint)
     note_file(path)
@@ -106,25 +108,25 @@ def saved_json(path: Path) -> dict[str, Any]:
     except Unreadable as error:
         raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
     if not isinstance(found, dict):
-        raise RunFolderError(f"'{path}': holds no JSON object")
+        raise RunFolderError(f"'{path}': does not contain a JSON object; restore the file")
     return found
 
 
 def _checked(path: Path, most: int) -> int:
     """Return the size of a regular file [B]."""
     if "\0" in str(path):
-        raise Unreadable("holds a NUL character", "give the path of a file")
+        raise Unreadable("contains a NUL character", "give the path of a file")
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise Unreadable(f"is no file that can be read ({reason})", "give the path of a file") from error
+        raise Unreadable(f"cannot be read ({reason})", "give the path of a file") from error
     if not stat.S_ISREG(found.st_mode):
-        kind = next((name for test, name in KINDS if test(found.st_mode)), "no regular file")
+        kind = next((name for test, name in KINDS if test(found.st_mode)), "not a regular file")
         raise Unreadable(f"cannot be read (it is {kind})", "give the path of a file")
     if found.st_size > most:
-        raise Unreadable(f"is too large: {found.st_size:,} bytes, where {most:,} are allowed",
-                          "is it the file that was meant?")  # fmt: skip
+        raise Unreadable(f"is too large: {found.st_size:,} bytes, at most {most:,} are allowed",
+                          "check that it is the right file")  # fmt: skip
     return found.st_size
 
 
@@ -134,14 +136,16 @@ def _text(path: Path, most: int) -> str:
         with path.open("rb") as file:
             content = file.read(most + 1)
     except OSError as error:
-        raise Unreadable(f"cannot be read ({error.strerror or error})", "give the path of a file that can") from error
+        raise Unreadable(f"cannot be read ({error.strerror or error})", "give the path of a readable file") from error
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise Unreadable("is no UTF-8 text", "save it as UTF-8", line) from error
+        raise Unreadable("is not UTF-8 text", "save it as UTF-8", line) from error
     if "\0" in text:
-        raise Unreadable("holds a NUL character", "is it a text file?", text.count("\n", 0, text.index("\0")) + 1)
+        raise Unreadable(
+            "contains a NUL character", "check that it is a text file", text.count("\n", 0, text.index("\0")) + 1
+        )
     return text
 
 
@@ -157,22 +161,22 @@ def parsed_json(text: str) -> Any:
         found = dict(pairs)
         if len(found) < len(pairs):
             keys = [key for key, _ in pairs]
-            raise Unreadable(f"has the key {next(k for k in keys if keys.count(k) > 1)!r} twice", "leave out one")
+            raise Unreadable(f"has the key {next(k for k in keys if keys.count(k) > 1)!r} twice", "remove one of them")
         return found
 
     def constant(word: str) -> NoReturn:
-        raise Unreadable(f"is no JSON: {word} is no number", "write finite numbers")
+        raise Unreadable(f"is not valid JSON: {word} is not a number", "write finite numbers")
 
     def whole(word: str) -> int:
         if len(word) > LONGEST_NUMBER:
-            raise Unreadable(f"holds a number of {len(word)} digits", "write it as 1e30")
+            raise Unreadable(f"contains a number of {len(word)} digits", "write it in the form 1e30")
         return int(word)
 
     try:
         return json.loads(text, object_pairs_hook=unique, parse_constant=constant, parse_int=whole)
     except json.JSONDecodeError as error:
         raise Unreadable(
-            f"is no JSON: {error.msg}", "write 'key: value' lines in a .yaml file", error.lineno
+            f"is not valid JSON: {error.msg}", "write 'key: value' lines in a .yaml file", error.lineno
         ) from error
     except RecursionError as error:
         raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
@@ -185,21 +189,21 @@ def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
         for row in reader:
             found.append((reader.line_num, row))
     except csv.Error as error:
-        raise Unreadable(f"is no CSV: {error}", "give columns separated by commas", reader.line_num) from error
+        raise Unreadable(f"is not valid CSV: {error}", "give columns separated by commas", reader.line_num) from error
     found = [(line, row) for line, row in found if any(cell.strip() for cell in row)]
     if not found:
-        raise Unreadable("holds no rows", "its first line must name the columns")
+        raise Unreadable("contains no rows", "write the names of the columns in the first line")
     (_, header), rows = found[0], found[1:]
     if len(header) == 1 and ";" in header[0]:
-        raise Unreadable("separates columns by semicolons", "separate them by commas, with decimal points")
+        raise Unreadable("separates columns by semicolons", "separate them by commas and use decimal points")
     names = [re.sub(r"\s*\[.*", "", head).strip() for head in header]
     for name in names:
         if name and names.count(name) > 1:
-            raise Unreadable(f"has the column {name!r} twice", "leave out one")
+            raise Unreadable(f"has the column {name!r} twice", "remove one of them")
     for line, row in rows:
         if len(row) != len(header):
             comma = len(row) > len(header)
             raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns",
-                              "write decimal points, as 10.3, not decimal commas" if comma else "fill them all in",
+                              "write decimal points, as in 10.3, not commas" if comma else "fill in all columns",
                               line)  # fmt: skip
     return header, rows

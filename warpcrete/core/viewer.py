@@ -50,7 +50,9 @@ class Viewer:
         while not all(map(_answers, self.listens)):
             if process.poll() is not None or time.monotonic() > end:
                 process.kill()
-                raise RunFolderError(f"Rerun's viewer does not start at {self.address}; try '{' '.join(self.command)}'")
+                raise RunFolderError(
+                    f"the Rerun viewer did not start at {self.address}; try '{' '.join(self.command)}'"
+                )
             time.sleep(0.05)
         return process
 
@@ -92,7 +94,9 @@ def _family(bind: str) -> socket.AddressFamily:
     try:
         return socket.AF_INET6 if ipaddress.ip_address(bind).version == 6 else socket.AF_INET
     except ValueError:
-        refuse("bind", bind, "must be an IP address of this machine", f"{LOOPBACK} for this machine alone")
+        refuse(
+            "bind", bind, "must be an IP address of this machine", f"use {LOOPBACK} for access from this machine only"
+        )
 
 
 def _free_port(bind: str, wanted: int) -> int:
@@ -105,7 +109,7 @@ def _free_port(bind: str, wanted: int) -> int:
                 return probe.getsockname()[1]
             except OSError as error:
                 if not port:
-                    refuse("bind", bind, f"is no address of this machine ({error.strerror})", f"take {LOOPBACK}")
+                    refuse("bind", bind, f"is not an address of this machine ({error.strerror})", f"use {LOOPBACK}")
     raise AssertionError
 
 

@@ -93,12 +93,12 @@ def parsed_yaml(text: str, path: Path) -> Any:
         raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        reason = " ".join(f"is no YAML: {error.problem or error.context or 'it cannot be read'}".split())
+        reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
         raise Unreadable(reason, "write 'key: value' lines", line) from error
     except Exception as error:  # the parser lets through whatever its parts raise
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise Unreadable(f"is no YAML: {reason}", "write 'key: value' lines") from error
+        raise Unreadable(f"is not valid YAML: {reason}", "write 'key: value' lines") from error
 
 
 class _Values:
@@ -114,13 +114,13 @@ class _Values:
         line = node.start_mark.line + 1
         self.values += 1
         if self.values > MOST_VALUES:
-            raise Unreadable(f"holds more than {MOST_VALUES:,} values", "is it the file that was meant?")
+            raise Unreadable(f"contains more than {MOST_VALUES:,} values", "check that it is the right file")
         if isinstance(node.value, str):
             return self._scalar(node, line)
         if not str(node.tag).endswith((":map", ":seq")):
-            raise Unreadable(f"has the tag {node.tag}", "leave it out", line)
+            raise Unreadable(f"has the tag {node.tag}, which is not supported", "remove it", line)
         if id(node) in self.open:
-            raise Unreadable("has an alias of what it stands in", "write it out", line)
+            raise Unreadable("has an alias that refers to itself", "write out its contents", line)
         self.open.add(id(node))
         try:
             if str(node.tag).endswith(":seq"):
@@ -131,23 +131,23 @@ class _Values:
 
     def _list(self, node: Any, line: int) -> FileList:
         if any(isinstance(each, tuple) for each in node.value):
-            raise Unreadable("has the tag !!seq before a mapping", "leave it out", line)
+            raise Unreadable("has the tag !!seq before a mapping", "remove it", line)
         found = FileList(self.value(each) for each in node.value)
         found.path, found.lines = self.path, [each.start_mark.line + 1 for each in node.value]
         return found
 
     def _mapping(self, node: Any, line: int) -> FileMapping:
         if any(not isinstance(each, tuple) for each in node.value):
-            raise Unreadable("has the tag !!map before a list", "leave it out", line)
+            raise Unreadable("has the tag !!map before a list", "remove it", line)
         found = FileMapping()
         found.path, found.lines = self.path, {}
         for key, value in node.value:
             line = key.start_mark.line + 1
             if not isinstance(key.value, str) or not str(key.tag).endswith((PLAIN, ":str")):
-                raise Unreadable("has a key that is no text", "write 'key: value' lines", line)
+                raise Unreadable("has a key that is not text", "write 'key: value' lines", line)
             if key.value in found:
                 raise Unreadable(f"has the key {one_line(key.value, 100)!r} twice, first in line "
-                                  f"{found.lines[key.value]}", "leave out one", line)  # fmt: skip
+                                  f"{found.lines[key.value]}", "remove one of them", line)  # fmt: skip
             found[key.value] = self.value(value)
             found.lines[key.value] = line
         return found
@@ -158,22 +158,22 @@ class _Values:
             return text
         if node.tag != PLAIN:
             tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
-            raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "leave it out", line)
+            raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "remove it", line)
         if text in WORDS:
             return WORDS[text]
         if NO_NUMBER.fullmatch(text):
-            raise Unreadable(f"has {text}, which is no finite number", "write a finite number", line)
+            raise Unreadable(f"has {text}, which is not a finite number", "write a finite number", line)
         if not text[:1].isdigit() and text[:1] not in ("+", "-", "."):
             return text
         if not (DECIMAL.fullmatch(text) or WHOLE.fullmatch(text)):
             return text
         if len(text) > LONGEST_NUMBER:
-            raise Unreadable(f"has a number of {len(text)} digits", "write it as 1e30", line)
+            raise Unreadable(f"has a number of {len(text)} digits", "write it in the form 1e30", line)
         if WHOLE.fullmatch(text):
             return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
         value = float(text)
         if value in (float("inf"), float("-inf")):
-            raise Unreadable(f"has {text}, which is beyond all numbers", "write a finite number", line)
+            raise Unreadable(f"has {text}, which is too large for a number", "write a finite number", line)
         return value
 
 

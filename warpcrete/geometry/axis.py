@@ -60,7 +60,7 @@ class Axis:
         object.__setattr__(self, "start", vector("axis start", self.start))
         tangent = np.array(vector("axis tangent", self.tangent))
         if not np.any(tangent) or not self.pieces:
-            refuse("axis", self.pieces, "needs a direction and at least one piece")
+            refuse("axis", self.pieces, "must have a direction and at least one piece")
         object.__setattr__(self, "tangent", tuple(tangent / np.linalg.norm(tangent)))
 
     @property
@@ -83,7 +83,7 @@ class Axis:
                 towards = np.array(piece.towards)
                 towards = towards - (towards @ tangent) * tangent
                 if np.linalg.norm(towards) < 1e-9:
-                    refuse("towards", piece.towards, "must not lie along the axis")
+                    refuse("towards", piece.towards, "must not be parallel to the axis")
                 outward = -towards / np.linalg.norm(towards)
                 result.append(dict(piece=piece, start=x, tangent=tangent, outward=outward))
                 centre = x - piece.radius * outward

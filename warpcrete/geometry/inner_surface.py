@@ -62,7 +62,7 @@ class InnerSurface:
         given = vertices, faces
         vertices, faces, origin = clean(vertices, faces)
         if len(faces) == 0:
-            refuse(field, name, "holds only triangles without area")
+            refuse(field, name, "contains only triangles without area", "check its unit")
         self.axis, self._radius = axis, radius
         self._low, self._high = span or (0.0, axis.length)
         self._all = SurfaceQueries(vertices, faces)
@@ -130,13 +130,13 @@ class InnerSurface:
         if len(closed) == 0 or np.any(missed[closed[0] : closed[-1]]) or (reaches and np.any(missed)):
             spans = " x ".join(f"{x:.4g}" for x in np.ptp(vertices, axis=0))
             refuse(field, name, f"has gaps along the axis: {np.count_nonzero(missed)} of {len(s)} sections are open "
-                   f"(it spans {spans} m)", "close its holes, move it so that it lies about the axis, or check "
+                   f"(the mesh spans {spans} m)", "close its holes, move it so that it surrounds the axis, or check "
                    "its unit (a scale of 0.001 for millimetres)")  # fmt: skip
         begin = self._rim(s[closed[0]], min(float(along.min()), low))
         end = self._rim(s[closed[-1]], max(float(along.max()), high))
         if begin > low + short or end < high - short:
-            refuse(field, name, f"encloses the axis from {begin:.4g} to {end:.4g} m, and the part goes from {low:.4g} "
-                   f"to {high:.4g} m", "make the mesh longer, or the part shorter")  # fmt: skip
+            refuse(field, name, f"encloses the axis from {begin:.4g} to {end:.4g} m, but the part extends from "
+                   f"{low:.4g} to {high:.4g} m", "make the mesh longer, or the part shorter")  # fmt: skip
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
@@ -176,7 +176,7 @@ class InnerSurface:
         hit = (found >= 0) & (found <= length)
         if np.any(hit):
             refuse(field, name, f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start",
-                   "leave the bore open there; a lid has no thickness and lies at an end")  # fmt: skip
+                   "remove this surface; only flat lids at the ends are allowed")  # fmt: skip
 
     def _check_closed(
         self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, whole: np.ndarray, kept: np.ndarray
@@ -207,8 +207,8 @@ class InnerSurface:
                    "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
         hidden = open_ & (count(kept, flat) == 1)
         if np.any(hidden):
-            refuse(field, name, f"has parts of its wall that an edge hides from the axis, {along[hidden].min():.3g} m "
-                   "from its start", "a bore has no undercuts: fill them")  # fmt: skip
+            refuse(field, name, f"has an undercut (wall that is not visible from the axis) {along[hidden].min():.3g} m "
+                   "from its start", "fill the undercut")  # fmt: skip
 
     def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return the numbers of the facets of the inner surface: visible from the axis and not part of a lid."""
@@ -247,6 +247,6 @@ def pipe_in(
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))
     if np.any(np.abs(reach / radius - 1) > WIDEST_ERROR):
-        refuse(field, name, f"has a bore {2e3 * reach.min():.4g} to {2e3 * reach.max():.4g} mm wide, and the pipe's is "
-               f"{2e3 * radius:g} mm", "check its place and its unit (wall_scale=0.001 for millimetres)")  # fmt: skip
+        refuse(field, name, f"has a bore {2e3 * reach.min():.4g} to {2e3 * reach.max():.4g} mm wide, but the pipe "
+               f"is {2e3 * radius:g} mm wide", "check its position and unit (wall_scale=0.001 for mm)")  # fmt: skip
     return surface

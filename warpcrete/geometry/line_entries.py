@@ -3,40 +3,43 @@
 from __future__ import annotations
 
 TEXTS = {
-    "name": "name of the line",
-    "source": "origin of its data",
-    "concrete": "name of a concrete, or the path of its file beside this one",
+    "name": "Name of the line",
+    "source": "Source of the data",
+    "concrete": "Name of a concrete, or the path of its file relative to this file",
 }
 """Entries of a pipeline file that hold text, with their meaning."""
 AMOUNTS = {
-    "recorded": ("Pa", "pressure that was recorded at the pump"),
-    "diameter": ("m", "inner diameter of the first part"),
-    "flow": ("m3/s", "volume flow"),
-    "largest_stone": ("m", "largest stone of the concrete"),
+    "recorded": ("Pa", "Pressure measured at the pump"),
+    "diameter": ("m", "Inner diameter of the first part"),
+    "flow": ("m3/s", "Volume flow"),
+    "largest_stone": ("m", "Size of the largest aggregate of the concrete"),
 }
 """Entries of a pipeline file that hold positive numbers, with their units and meaning."""
 KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
 PARTS = {
     "straight": {
-        "length": ("m", "length of its axis"),
-        "rise": ("m", "height that it gains, to check where the line goes"),
-        "diameter": ("m", "inner diameter, to check that the parts fit"),
+        "length": ("m", "Length of its axis"),
+        "rise": ("m", "Height gained; only checked against the direction of the line"),
+        "diameter": ("m", "Inner diameter; only checked against the part before it"),
     },
     "bend": {
-        "angle": ("degrees", "angle; the default goes all the way that 'to' names"),
-        "radius": ("m", "radius of its centreline"),
-        "to": ("", "direction in which it leads"),
+        "angle": ("degrees", "Angle of the bend; default: such that it ends in the direction 'to'"),
+        "radius": ("m", "Radius of its centreline"),
+        "to": ("", "Direction in which the bend leads"),
     },
-    "reducer": {"to": ("m", "inner diameter behind it"), "length": ("m", "length of its axis")},
+    "reducer": {"to": ("m", "Inner diameter behind it"), "length": ("m", "Length of its axis")},
     "hose": {
-        "points": ("m", "points along its axis from where it begins: ahead, to the left, up"),
-        "layer": ("1", "resistance of its slip layer over that of a pipe"),
+        "points": ("m", "Points of its axis relative to its start: distance ahead, to the left, up"),
+        "layer": ("1", "Resistance of its slip layer divided by that of a pipe"),
     },
     "bore": {
-        "file": ("", "mesh file beside this one, which begins at its origin and leads along its x"),
-        "scale": ("1", "factor from the unit of the mesh to metres, 0.001 for mm"),
-        "length": ("m", "length along the line"),
-        "outlet": ("m", "inner diameter behind it"),
+        "file": (
+            "",
+            "Mesh file, relative to this file; the bore begins at the origin of the mesh and leads along its x axis",
+        ),
+        "scale": ("1", "Factor from the unit of the mesh to metres, 0.001 for mm"),
+        "length": ("m", "Length along the line"),
+        "outlet": ("m", "Inner diameter behind it"),
     },
 }
 """Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its

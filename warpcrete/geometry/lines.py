@@ -157,7 +157,7 @@ class PipeLine:
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING * self.largest_stone:
             found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
-                         f"less than {BLOCKING:g} of them lie across it")  # fmt: skip
+                         f"the bore is narrower than {BLOCKING:g} of them")  # fmt: skip
         return found
 
 
@@ -182,12 +182,12 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     the file does not exist or has another content.
     """
     if not isinstance(name, (str, Path)):
-        refuse("line", name, "must be the name of a file", "write one: see --help")
+        refuse("line", name, "must be the path of a file", "'warpcrete line --help' shows an example")
     known = shipped_lines()
     path = SHIPPED / f"{name}.yaml" if str(name) in known else Path(name)
     if not path.suffix and not os.path.exists(path):
-        refuse("line", str(name), f"is no file and none of {', '.join(known)}",
-               suggested(str(name), known) or "write one: see --help")  # fmt: skip
+        refuse("line", str(name), f"must be the path of a file, or one of {', '.join(known)}",
+               suggested(str(name), known) or "'warpcrete line --help' shows an example")  # fmt: skip
     given = read_mapping(path, "line")
     if isinstance(given.get("concrete"), str) and is_file(given["concrete"]):
         given["concrete"] = str(path.parent / given["concrete"])
@@ -203,17 +203,19 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     not fit.
     """
     if not isinstance(given, Mapping):
-        refuse("line", given, "must be 'key: value' lines, or a mapping of such")
+        refuse("line", given, "must hold 'key: value' lines")
     for key in given:
         with within(given, key):
             one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        refuse("parts", entries, "must be a list of one part or more", "as '- straight: 10 m'")
+        refuse("parts", entries, "must be a list of one or more parts", "for example '- straight: 10 m'")
     if len(entries) > MOST_PARTS:
-        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "join straight parts in a row")
+        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "merge neighbouring straight parts")
     if "diameter" not in given:
-        refuse("diameter", None, "must be given, that of the first part", "as 'diameter: 125 mm'")
+        refuse(
+            "diameter", None, "is missing: the diameter of the first part is required", "for example 'diameter: 125 mm'"
+        )
     diameter, stone, flow, recorded = (
         _above(given, field, AMOUNTS[field][0]) for field in ("diameter", "largest_stone", "flow", "recorded")
     )
@@ -250,8 +252,8 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     """
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
-            refuse("largest_stone", stone, f"does not pass part {part.number}, {part.label}, of "
-                   f"{part.narrow:.6g} m", "take a wider pipe or a smaller stone")  # fmt: skip
+            refuse("largest_stone", stone, f"does not pass through part {part.number}, {part.label}, which is "
+                   f"{part.narrow:.6g} m wide", "use a wider pipe or a smaller stone")  # fmt: skip
     return replace(line, largest_stone=stone)
 
 
@@ -260,7 +262,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with within(given, field):
-            refuse(field, found, "must be a text of one line", "put it into quotes")
+            refuse(field, found, "must be text of one line", "put it in quotes")
     return one_line(str(found))
 
 
@@ -289,8 +291,8 @@ class _Course:
     def add(self, number: int, entry: Any) -> None:
         """Append a part to the line, given as its entry in the file."""
         if not isinstance(entry, Mapping) or len(entry) != 1:
-            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, and what it is",
-                   "as '- straight: {length: 10 m}'")  # fmt: skip
+            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
+                   "for example '- straight: {length: 10 m}'")  # fmt: skip
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
         if not isinstance(said, Mapping):
@@ -300,7 +302,7 @@ class _Course:
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
-                refuse(f"part {number}, {kind}", dict(said), f"must say its {key}", f"as '{key}: 1'")
+                refuse(f"part {number}, {kind}", dict(said), f"has no {key}", f"add it, for example '{key}: 1'")
             field = f"part {number}, {kind}: {key}"
             found = amount(field, said.get(key, default), unit)
             check_limit(field, found, unit, LIMITED_AS.get(key, key))
@@ -316,18 +318,18 @@ class _Course:
         positive(f"part {number}, straight: length", length, "m")
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
-            refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: the line goes on with a rise of "
-                   f"{rise:.4g} m over {length:g} m", "put a bend before it, or leave the rise out")  # fmt: skip
+            refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: in the direction of the line it is "
+                   f"{rise:.4g} m over {length:g} m", "put a bend before it, or leave out the rise")  # fmt: skip
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
-            refuse(f"part {number}, straight: diameter", said["diameter"], "does not fit a part before it of "
-                   f"{self.diameter:g} m", "put a reducer between them")  # fmt: skip
+            refuse(f"part {number}, straight: diameter", said["diameter"], "does not fit the end of the part before "
+                   f"it, {self.diameter:g} m", "put a reducer between them")  # fmt: skip
         return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         radius = get("radius", "m")
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
-            refuse(f"{field}: radius", radius, f"must exceed the pipe's, {self.diameter / 2:g} m")
+            refuse(f"{field}: radius", radius, f"must exceed the radius of the pipe, {self.diameter / 2:g} m")
         way = said.get("to")
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
@@ -336,15 +338,18 @@ class _Course:
         across = towards - (towards @ self.tangent) * self.tangent
         if np.linalg.norm(across) < 1e-6:
             refuse(
-                f"{field}: to", way, "is where the line goes already, or came from", f"take one of {', '.join(WAYS)}"
+                f"{field}: to",
+                way,
+                "is the present direction of the line or its opposite",
+                f"use another of {', '.join(WAYS)}",
             )
         whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
         angle = get("angle", "degrees", round(whole, 9))
         if not 1 <= angle <= SHARPEST:
-            refuse(f"{field}: angle", angle, f"must be in [1, {SHARPEST:g}] degrees", "make two bends of it")
+            refuse(f"{field}: angle", angle, f"must be in [1, {SHARPEST:g}] degrees", "split it into two bends")
         if way in ("up", "down", "level") and angle > whole + 1e-6:
-            refuse(f"{field}: angle", angle, f"goes beyond {way!r}, {whole:.4g} degrees from where the line goes",
-                   "leave the angle out")  # fmt: skip
+            refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
+                   "leave out the angle")  # fmt: skip
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
@@ -365,33 +370,33 @@ class _Course:
         field = f"part {number}, hose"
         given = said.get("points")
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
-            refuse(f"{field}: points", given, "must be a list of points", "as '[[1, 0, 0], [2, 0, -0.5]]'")
+            refuse(f"{field}: points", given, "must be a list of points", "for example '[[1, 0, 0], [2, 0, -0.5]]'")
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
-            refuse(f"{field}: points", given, "must each be three lengths: ahead, to the left, up")
+            refuse(f"{field}: points", given, "must each have three lengths: ahead, to the left, up")
         if len(given) > MOST_POINTS:
             refuse(f"{field}: points", f"{len(given)} points", f"must be at most {MOST_POINTS}")
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
         for x in local.ravel().tolist():
             check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
-            refuse(f"{field}: points", given, "must be half a diameter apart, at least")
+            refuse(f"{field}: points", given, "must be at least half a diameter apart")
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
         positive(f"{field}: layer", layer, "")
         if not LAYERS[0] <= layer <= LAYERS[1]:
-            warn(f"{field}: layer = {layer:g}: is unlikely: a hose resists {LAYERS[0]:g} to {LAYERS[1]:g} times as "
-                 "much as a pipe; '80 %' has its unit")  # fmt: skip
+            warn(f"{field}: layer = {layer:g}: is unusual: hoses have {LAYERS[0]:g} to {LAYERS[1]:g} times the "
+                 "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(begins(points) @ self.tangent, -1, 1))))
         if askew > ASKEW:
-            refuse(f"{field}: points", given, f"lead {askew:.0f} degrees away from where the line goes",
-                   "put a bend before it, or move the first points")  # fmt: skip
+            refuse(f"{field}: points", given, f"begin at an angle of {askew:.0f} degrees to the direction of the line",
+                   "put a bend before the hose, or move the first points")  # fmt: skip
         pieces = through(points, self.tangent)
         length = sum(piece.length for piece in pieces)
         bends = [piece for piece in pieces if isinstance(piece, Arc)]
         sharpest = min((piece.radius for piece in bends), default=math.inf)
         if self.diameter > CURVED[0][-1] * sharpest:
             refuse(f"{field}: points", given, f"bend it to a radius of {sharpest:.3g} m",
-                   f"keep it above {self.diameter / CURVED[0][-1]:.3g} m")  # fmt: skip
+                   f"keep the radius above {self.diameter / CURVED[0][-1]:.3g} m")  # fmt: skip
         more = sum(arc.length * float(np.interp(self.diameter / arc.radius, *CURVED)) for arc in bends) / length
         rise = float(points[-1, 2])
         end = Axis((0.0, 0.0, 0.0), tuple(self.tangent.tolist()), tuple(pieces)).at(length)[1][0]
@@ -403,17 +408,17 @@ class _Course:
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
         if abs(outlet - self.diameter) < 1e-9:
-            refuse(f"part {number}, reducer: to", outlet, "is the diameter that the line has", "take a straight part")
+            refuse(f"part {number}, reducer: to", outlet, "is already the diameter of the line", "use a straight part")
         if length < 0.5 * abs(outlet - self.diameter):
-            refuse(f"part {number}, reducer: length", length, "must be half of what the diameter changes, at least",
-                   f"take {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
+            refuse(f"part {number}, reducer: length", length, "must be at least half of the change of the diameter",
+                   f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 
     def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         field, file = f"part {number}, bore", said.get("file")
         if not isinstance(file, str) or not file:
-            refuse(f"{field}: file", file, "must name a mesh file", "as 'file: valve.stl'")
+            refuse(f"{field}: file", file, "must be the path of a mesh file", "for example 'file: valve.stl'")
         length = get("length", "m") if "length" in said else None
         outlet, scale = get("outlet", "m", self.diameter), get("scale", "1", 1.0)
         for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
@@ -430,7 +435,7 @@ class _Course:
         return part, turned(mesh.axis.pieces, directions)
 
 
-def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it another way") -> None:
+def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:
     """Refuse a line whose walls meet, or come closer to each other than `gap` [m]."""
     parts = line.parts
     spans = []
@@ -442,5 +447,5 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "lead it anothe
     found = meeting(line.axis, spans, gap)
     if found is None:
         return
-    why = f"come within {gap:.3g} m of each other" if gap else "meet: the line crosses itself there"
+    why = f"come within {gap:.3g} m of each other" if gap else "touch each other: the line crosses itself"
     refuse("parts", [parts[k].number for k in found], why, hint)

@@ -90,9 +90,9 @@ def follow(
     points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
     last = directions(points, ahead)[-1]
-    found = f"could be followed for {_length(list(points)):.4g} m only"
+    found = f"can be followed for {_length(list(points)):.4g} m only"
     _check_open(queries, points[-1], last, radii[-1], field, name, found,
-                "see what is there: a hole, a sharp edge, a branch, a plate or a chamber")  # fmt: skip
+                "check the mesh there for a hole, a sharp edge, a branch, a plate or a chamber")  # fmt: skip
     return Sections(ahead, points, radii)
 
 
@@ -179,14 +179,14 @@ def _first_way(
         middle = first[0] - start
         beside = float(np.linalg.norm(middle - (middle @ way) * way))
         if beside <= ASIDE * first[1]:
-            _check_open(queries, start, -way, first[1], field, name, "goes on behind its origin, where it should begin",
+            _check_open(queries, start, -way, first[1], field, name, "extends behind its origin, where it should begin",
                         "move it so that the middle of one end lies at its origin")  # fmt: skip
             return way, first[1]
     if beside is not None:
-        refuse(field, name, f"does not begin at its origin: the middle of its first section lies {beside:.4g} m beside",
-               "move it so that the middle of one end lies there")  # fmt: skip
+        refuse(field, name, f"does not begin at its origin: the middle of its first section is {beside:.4g} m away",
+               "move it so that the middle of one end lies at its origin")  # fmt: skip
     leads = ", ".join("+-"[int(way.sum() < 0)] + "xyz"[int(np.argmax(np.abs(way)))] for way in ways)
-    refuse(field, name, f"has no closed section at its origin across {leads}",
+    refuse(field, name, f"has no closed cross-section at its origin in the direction {leads}",
            "move it so that it begins there and leads that way, close its holes, or check its unit")  # fmt: skip
 
 
@@ -206,13 +206,13 @@ def _march(
         middle, wide, tangent = found
         if wide > WIDENS * radii[-1]:
             refuse(field, name, f"opens to the side {_length(points):.3g} m from its start",
-                   "close the opening: a bore has one passage")  # fmt: skip
+                   "close the opening, because a bore has a single passage")  # fmt: skip
         points.append(middle)
         radii.append(wide)
         step = min(2 * step, ADVANCE)
     else:
-        refuse(field, name, f"is longer than {MOST} sections at distances of a quarter of its radius",
-               "cut it into several parts")  # fmt: skip
+        refuse(field, name, f"is longer than {MOST} quarters of its radius",
+               "split it into several parts")  # fmt: skip
     # Drop the last cross-section, whose rays may end on a lid, and cross-sections close together, because the direction
     # between their centres is inaccurate.
     kept = [0]
@@ -220,7 +220,7 @@ def _march(
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
             kept.append(k)
     if len(kept) < 3:
-        refuse(field, name, "is too short to be followed", "check its unit, and that it leads away from its origin")
+        refuse(field, name, "is too short for its axis to be found", "check its unit, and that it begins at its origin")
     return np.array(points)[kept], np.array(radii)[kept]
 
 

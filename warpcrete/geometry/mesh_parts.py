@@ -105,11 +105,11 @@ def bore_of(
         reach = _surface(found, fields[0]).sections(np.array([place]))[0]
         wide = 2 * float(np.sqrt(np.mean(reach**2)))
         if diameters is not None and abs(wide / diameters[end] - 1) > FIT:
-            refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, and the line is {diameters[end]:g} "
-                   "m", "give outlet, the diameter behind it, or put a reducer beside it")  # fmt: skip
+            refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, but the line is {diameters[end]:g} "
+                   "m wide", "set outlet, the diameter behind it, or add a reducer")  # fmt: skip
         if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUND):
-            refuse(fields[0], name, f"is not round where it {which}, or lies beside the axis: its wall is "
-                   f"{reach.min():.4g} to {reach.max():.4g} m away", "move it, or end it round")  # fmt: skip
+            refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
+                   f"to {reach.max():.4g} m from the axis", "move it, or make it round there")  # fmt: skip
     return found
 
 
@@ -120,8 +120,8 @@ def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore
     found, straight = bore.axis.length, _is_straight(bore.axis)
     near = PLACED * min(bore.ends) if straight else MEASURED * length
     if abs(found - length) > near:
-        refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, and the part is {length:g} m long",
-               "give the part's length, or leave it out")  # fmt: skip
+        refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, but the part has a length of {length:g} m",
+               "correct the length of the part, or leave it out")  # fmt: skip
     return replace(bore, axis=replace(bore.axis, pieces=(Line(length),))) if straight else bore
 
 
@@ -145,8 +145,8 @@ def _measured(
     mesh, name = load(file, fields[0], scale), str(file)
     extent = float(mesh.extents.max())
     if length is not None and not 0.01 * length <= extent <= 100 * length:
-        refuse(fields[1], scale, f"makes the mesh {extent:.4g} m long, and the part is {length:g} m",
-               "check it: 0.001 for a file in mm")  # fmt: skip
+        refuse(fields[1], scale, f"makes the mesh {extent:.4g} m long, but the part is {length:g} m long",
+               "check the scale; it is 0.001 for a file in mm")  # fmt: skip
     axis, radius = _axis(mesh.vertices, mesh.faces, ways, fields[0], name)
     surface = InnerSurface(mesh.vertices, mesh.faces, axis, radius, fields[0], name)
     width = 2 * float(equal_radii(surface.sections(np.zeros(1)))[0])

@@ -56,16 +56,20 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
         except Exception as error:  # Trimesh passes on any error of its readers.
             # A file in an unknown format fails in the last reader that trimesh tries, perhaps with an ImportError
             # because that reader is not installed.
-            why = "it is damaged or of another kind" if isinstance(error, ImportError) else " ".join(str(error).split())
+            why = (
+                "it is damaged or has another format"
+                if isinstance(error, ImportError)
+                else " ".join(str(error).split())
+            )
             refuse(field, str(source), f"cannot be read as a triangle mesh ({why or type(error).__name__})",
-                   "give an STL, OBJ, PLY ... file whose ending says what it is")  # fmt: skip
+                   "give an STL, OBJ, PLY ... file with the matching file extension")  # fmt: skip
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
-        refuse(field, str(source), "holds no triangles, or corners that are not finite")
+        refuse(field, str(source), "must contain triangles, with finite vertices")
     _check_size(mesh, field, str(source), scale)
     vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(mesh.faces) == 0:
-        refuse(field, str(source), "holds only triangles without area")
+        refuse(field, str(source), "contains only triangles without area")
     mesh.apply_scale(scale)
     return mesh
 
@@ -73,12 +77,12 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
     """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
     if len(mesh.faces) > MOST_FACES:
-        refuse(field, name, f"has {len(mesh.faces)} triangles; at most {MOST_FACES} are read",
-               "simplify it (trimesh's simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
+        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MOST_FACES} are allowed",
+               "simplify it (trimesh.Trimesh.simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
     farthest = float(np.abs(mesh.vertices).max()) * scale
     if farthest > FARTHEST:
-        refuse(field, name, f"has a corner {farthest:.3g} m away; at most {FARTHEST:g} m are possible",
-               "look at its corners, and at the scale of its unit (0.001 for mm)")  # fmt: skip
+        refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {FARTHEST:g} m are allowed",
+               "check its vertices, and the scale of its unit (0.001 for mm)")  # fmt: skip
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -100,11 +104,16 @@ def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
             "close its holes (trimesh.repair.fill_holes, or in the CAD program)",
         )
     if not mesh.is_winding_consistent:
-        refuse(field, str(name), "has triangles that face both ways", "orient them alike (trimesh.repair.fix_winding)")
+        refuse(
+            field,
+            str(name),
+            "has triangles with inconsistent orientation",
+            "orient them alike (trimesh.repair.fix_winding)",
+        )
     if mesh.volume < 0:
         mesh.invert()
     if mesh.volume <= 0:
-        refuse(field, str(name), "encloses no volume")
+        refuse(field, str(name), "encloses no volume", "give a closed mesh")
     return mesh
 
 

@@ -66,7 +66,7 @@ def check_straight_ends(line: PipeLine, name: Any) -> None:
     for place in (0, -1):
         if line.parts[place].kind != "straight":
             refuse("line", name, f"must begin and end straight: part {line.parts[place].number} is a "
-                   f"{line.parts[place].kind}", "put a straight part there")  # fmt: skip
+                   f"{line.parts[place].kind}", "add a straight part there")  # fmt: skip
 
 
 def joined(axis: Axis) -> Axis:
@@ -87,8 +87,8 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     axis. The second plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > LONGEST * 2 * bores.largest:
-        refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "cut it: the command line adds "
-               "up a line's parts")  # fmt: skip
+        refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "shorten it, or use "
+               "'warpcrete line', which simulates its parts one by one")  # fmt: skip
     s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)
     start = axis.at(begin)[0]
@@ -96,8 +96,13 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     ahead = (points - start) @ tangents[0]
     beside = np.linalg.norm(points - start - ahead[:, None] * tangents[0], axis=1) < aside + reach
     if np.any(ahead[(s > begin + 2 * reach) & beside] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it begins",
-               "cut it, or turn it less")  # fmt: skip
+        refuse("line", f"{axis.length:.3g} m", "returns across the plane of its inlet",
+               "shorten it, or reduce the angles of its bends")  # fmt: skip
     behind = (points[-1] - points) @ tangents[-1]
     if np.any(behind[s < axis.length - 2 * reach] < reach):
-        refuse("line", f"{axis.length:.3g} m", "comes back past the plane in which it ends", "cut it, or turn it less")
+        refuse(
+            "line",
+            f"{axis.length:.3g} m",
+            "returns across the plane of its outlet",
+            "shorten it, or reduce the angles of its bends",
+        )

@@ -35,7 +35,7 @@ class Stops:
 
     def __post_init__(self) -> None:
         if isinstance(self.count, bool) or not isinstance(self.count, int) or not 1 <= self.count <= MOST_STOPS:
-            refuse("stops", self.count, f"must be a whole number, 1 to {MOST_STOPS}")
+            refuse("stops", self.count, f"must be a whole number from 1 to {MOST_STOPS}")
         positive("stroke_time", self.stroke_time, "s")
         between("pause", self.pause, 0, np.inf, "s")
 
@@ -70,7 +70,7 @@ class Prescribed:
         between("ramp_time", self.ramp_time, 0, np.inf, "s")
         between("start_time", self.start_time, 0, np.inf, "s")
         if self.stops is not None and self.stops.stroke_time < 2 * self.ramp_time * (1 - 1e-12):
-            refuse("stroke_time", self.stops.stroke_time, f"must hold two ramps of {self.ramp_time:g} s",
+            refuse("stroke_time", self.stops.stroke_time, f"must be at least two ramps of {self.ramp_time:g} s",
                    "shorten the ramp")  # fmt: skip
 
     def fill(self, row: Any) -> None:
@@ -224,7 +224,7 @@ class PipeWall(_Wall):
     def __post_init__(self) -> None:
         positive(f"{self.name}.radius", self.radius, "m")
         if self.motion is not None and isinstance(self.motion, Prescribed) and any(self.motion.spin):
-            refuse(f"{self.name}.motion", "spin", "a pipe wall may translate, not turn", "use a MeshWall")
+            refuse(f"{self.name}.motion", "spin", "must be zero: a pipe wall cannot rotate", "use a MeshWall")
 
     @property
     def reference_points(self) -> np.ndarray:
@@ -262,7 +262,11 @@ class MeshWall(_Wall):
             vertices = np.asarray(self.vertices, dtype=float)
             faces = np.asarray(self.faces, dtype=np.int32)
         except (TypeError, ValueError):
-            refuse(f"{self.name}.vertices", "not numbers", "must be finite, shape (v, 3), with faces of shape (f, 3)")
+            refuse(
+                f"{self.name}.vertices",
+                "not numbers",
+                "must be finite numbers, shape (v, 3), with faces of shape (f, 3)",
+            )
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
             refuse(f"{self.name}.vertices", f"shape {vertices.shape}", "must be finite, shape (v, 3)")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
@@ -272,7 +276,9 @@ class MeshWall(_Wall):
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
         if len(self.surface[1]) == 0:
-            refuse(f"{self.name}.faces", f"{len(faces)} triangles", "have no area", "check the unit of its vertices")
+            refuse(
+                f"{self.name}.faces", f"{len(faces)} triangles", "must have an area", "check the unit of its vertices"
+            )
 
     @cached_property
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -58,10 +58,10 @@ def agreed(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     first, remarks = candidates[0], []
     for other in candidates[1:]:
         apart = max(other.low / max(first.high, 1e-9), first.low / max(other.high, 1e-9))
-        words = f"{first.name}: {first.span} by {first.way}, {other.span} by {other.way}"
+        words = f"{first.name}: {first.span} from {first.way}, but {other.span} from {other.way}"
         if apart > (INSTRUMENTS if first.instrument != other.instrument else 1.0):
-            refuse(f"mix {first.name}", f"{first.span} by {first.way}", f"contradicts {other.span} by {other.way}",
-                   "leave out the one that you trust less, or give it its uncertainty")  # fmt: skip
+            refuse(f"mix {first.name}", f"{first.span} from {first.way}", f"contradicts {other.span} from {other.way}",
+                   "leave out the less reliable one, or state its uncertainty")  # fmt: skip
         if apart > 1:
-            remarks.append(f"{words}; the former is taken, instruments differ by as much")
+            remarks.append(f"{words}; the first is used, because instruments often differ by as much")
     return first, remarks

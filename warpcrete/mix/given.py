@@ -37,24 +37,30 @@ class Entry:
 
 
 NUMBERS = {
-    "density": Entry("of the concrete; or give its parts", "kg/m3", 1000, 5000, "'2.35 t/m3' has its unit"),
-    "air": Entry("air content, as a part of the volume", "m3/m3", 0, 0.3, "'2 %' has its unit"),
-    "aggregate_density": Entry("density of the coarse aggregate", "kg/m3", 1000, 8000),
-    "slump": Entry("slump of the Abrams cone", "m", 0.01, 0.24, "of softer concrete give the spread"),
-    "spread": Entry("spread of the Abrams cone", "m", 0.35, 1.2),
-    "t500": Entry("time until the spread reaches 500 mm", "s", 0.5, 120),
+    "density": Entry(
+        "Density of the concrete; can be replaced by its parts",
+        "kg/m3",
+        1000,
+        5000,
+        "write another unit as in '2.35 t/m3'",
+    ),
+    "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
+    "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
+    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.24, "use spread for softer concrete"),
+    "spread": Entry("Spread of the Abrams cone", "m", 0.35, 1.2),
+    "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
 }
 """Numeric entries of a mix."""
 OTHERS = {
-    "parts": "mass of each ingredient in a cubic metre [kg/m3], all of them",
-    "aggregate": "coarse aggregate: share of the volume, or mass in a cubic metre with its unit",
-    "sieve": "openings [mm] of sieves, and what passes each of the mass of the coarse aggregate",
-    "sizes": "smallest and largest coarse aggregate [m], in place of a sieve curve",
-    "shape": "shape of the coarse aggregate: a word, or its longest over its shortest width",
-    "concrete": "measured constants of the concrete",
-    "mortar": "measured constants of the mortar",
-    "viscometer": "points of a viscometer: pairs of rate and stress, or the path of a CSV file",
-    "layer": "slip layer: its constants, points of a pipe, or points of a tribometer",
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3]",
+    "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
+    "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
+    "sizes": "Smallest and largest coarse aggregate [m], instead of a sieve curve",
+    "shape": "Shape of the coarse aggregate: a word, or the ratio of longest to shortest width",
+    "concrete": "Measured properties of the concrete",
+    "mortar": "Measured properties of the mortar",
+    "viscometer": "Points of a viscometer: pairs of shear rate and stress, or the path of a CSV file",
+    "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
 }
 """Entries of a mix that are not single numbers, with their meaning."""
 KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
@@ -138,14 +144,14 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
     Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
     """
     if not given:
-        refuse("mix", given, "is empty", f"say something of it: {', '.join(KEYS)}")
+        refuse("mix", given, "is empty", f"add some of {', '.join(KEYS)}")
     if not isinstance(given, Mapping):
-        refuse("mix", given, "must be 'key: value' lines", "indent them below the section's name")
+        refuse("mix", given, "must hold 'key: value' lines", "indent them below the name of the section")
     for key in given:
         with within(given, key):
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
-        refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of both")
+        refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of them")
     heavy = _number(given, "aggregate_density") or GRAVEL
     with within(given, "parts" if "parts" in given else "density"):
         density, summed = _density(given, heavy)
@@ -154,12 +160,19 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
     with within(given, "mortar"):
         mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
-        refuse("mix mortar", given["mortar"], "needs the share of coarse aggregate in it", "as 'aggregate: 36 %'")
+        refuse(
+            "mix mortar",
+            given["mortar"],
+            "needs the share of coarse aggregate in the concrete",
+            "add it, for example 'aggregate: 36 %'",
+        )
     if share is not None:
         _check_parts(density, share, heavy, mortar.values.get("density"))
     spread, t500 = _number(given, "spread"), _number(given, "t500")
     if t500 is not None and (spread is None or spread < 0.5):
-        refuse("mix t500", given["t500"], "needs the spread at rest, of 500 mm or more", "as 'spread: 650 mm'")
+        refuse(
+            "mix t500", given["t500"], "needs a final spread of 500 mm or more", "add it, for example 'spread: 650 mm'"
+        )
     return Given(
         density=density,
         summed=summed,
@@ -205,21 +218,31 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:
         if own is None:
-            refuse("mix density", None, "must be given, that of the concrete", "as 'density: 2350 kg/m3', or its parts")
+            refuse(
+                "mix density",
+                None,
+                "is missing: the density of the concrete is required",
+                "add 'density: 2350 kg/m3' or parts",
+            )
         return own, False
     parts = given["parts"]
     if not isinstance(parts, Mapping) or not parts:
-        refuse("mix parts", parts, "must be what a cubic metre is made of", "as {cement: 340 kg/m3, water: 170 kg/m3}")
+        refuse(
+            "mix parts",
+            parts,
+            "must be the ingredients of a cubic metre",
+            "for example {cement: 340 kg/m3, water: 170 kg/m3}",
+        )
     masses = {}
     for name, value in parts.items():
         with within(parts, name):
             masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
-            between(f"mix parts: {name}", masses[str(name)], LEAST, 5000, "kg/m3", "leave out what there is none of")
+            between(f"mix parts: {name}", masses[str(name)], LEAST, 5000, "kg/m3", "leave out ingredients with no mass")
     total = sum(masses.values())
     if own is not None and abs(total / own - 1) > OFF:
-        refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of both")
+        refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of them")
     if own is None:
-        between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all of them, the aggregates too")
+        between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all ingredients, including aggregates")
     check_volume(masses, heavy, air)
     return (own, False) if own is not None else (total, True)
 
@@ -234,37 +257,42 @@ def _share(given: Any, heavy: float) -> float:
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
-            refuse("mix aggregate", given, "must be a share of the volume, up to 1, or have a unit",
-                   "as '36 %', '360 l/m3', '950 kg/m3'")  # fmt: skip
+            refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
+                   "for example '36 %', '360 l/m3' or '950 kg/m3'")  # fmt: skip
     positive("mix aggregate", found)
     if found >= PACKED:
-        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than stones packed as they fall, {PACKED}",
-               "count the coarse aggregate alone")  # fmt: skip
+        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKED}",
+               "give the coarse aggregate only")  # fmt: skip
     return found
 
 
 def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:
     """Check that the densities of concrete, coarse aggregate and mortar are consistent."""
     rest = (density - share * heavy) / (1 - share)
-    words = f"leaves a mortar of {rest:.4g} kg/m3 beside {share:.3g} of aggregate of {heavy:g}"
+    words = f"leaves a mortar of {rest:.4g} kg/m3, with a share {share:.3g} of aggregate of {heavy:g} kg/m3"
     if not MORTARS[0] <= rest <= MORTARS[1]:
-        refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g}",
-               "look at aggregate and aggregate_density")  # fmt: skip
+        refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3",
+               "check aggregate and aggregate_density")  # fmt: skip
     if own is not None and abs(rest / own - 1) > OFF:
-        refuse("mix density", density, f"{words}, and the mortar's is given as {own:g}", "leave out one of them")
+        refuse(
+            "mix density",
+            density,
+            f"{words}, but the density of the mortar is given as {own:g}",
+            "leave out one of them",
+        )
 
 
 def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
     """Return sieve openings [m] with passing fractions, from openings in millimetres and fractions or percentages."""
-    example = "as {4: 0, 8: 0.4, 16: 1}, mm: what passes of the mass"
+    example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
     if not isinstance(given, Mapping) or len(given) < 2:
-        refuse("mix sieve", given, "must be two openings or more, and what passes them", example)
+        refuse("mix sieve", given, "must have two or more openings, each with the share that passes", example)
     opened = {amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
               for key, value in given.items()}  # fmt: skip
     widest = max(opened)
     if widest > COARSEST:
         refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
-               "openings without a unit are in mm; '16000 um' has its unit")  # fmt: skip
+               "openings without a unit are in mm")  # fmt: skip
     if len({isinstance(value, str) for value in opened.values()}) > 1:
         refuse("mix sieve", dict(given), "mixes numbers with and without a unit", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
@@ -272,25 +300,25 @@ def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
         passing = [value / 100 for value in passing]
     openings = list(opened)
     if len(openings) < len(given) or openings != sorted(openings) or openings[0] <= 0:
-        refuse("mix sieve", given, "must have its openings above 0 and rising", example)
+        refuse("mix sieve", given, "must have increasing openings above 0", example)
     if passing != sorted(passing):
         fall = next(k for k in range(1, len(passing)) if passing[k] < passing[k - 1])
         refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
-               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: more passes a wider sieve", example)  # fmt: skip
+               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: the share must not fall", example)  # fmt: skip
     if passing[0] != 0 or passing[-1] != 1:
-        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 per cent", example)
+        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
     if openings[0] < FINEST:
-        refuse("mix sieve", given, "has fines: what is below some 4 mm is mortar to both methods",
-               "give the curve of the coarse aggregate alone")  # fmt: skip
+        refuse("mix sieve", given, "has fines: grains below about 4 mm are part of the mortar in both methods",
+               "give the curve of the coarse aggregate only")  # fmt: skip
     return tuple(zip(openings, passing, strict=True))
 
 
 def _sizes(given: Any) -> tuple[float, float]:
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        refuse("mix sizes", given, "must be the smallest and the largest", "as [5 mm, 20 mm]")
+        refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
-    between("mix sizes, the largest", high, FINEST, COARSEST, "m", "'20 mm' has its unit")
-    between("mix sizes, the smallest", low, FINEST, high, "m", "what is finer is mortar")
+    between("mix sizes, the largest", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
+    between("mix sizes, the smallest", low, FINEST, high, "m", "finer grains are part of the mortar")
     return low, high
 
 
@@ -300,14 +328,14 @@ def _shape(given: Any) -> str:
         return f"shape-{given:g}" if given > 1 else "spheres"
     if not isinstance(given, str) or given not in SHAPES:
         refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
-               suggested(given, SHAPES) or "or longest over shortest width, from 1 on")  # fmt: skip
+               suggested(given, SHAPES) or "or the ratio of longest to shortest width, at least 1")  # fmt: skip
     return SHAPES[given]
 
 
 def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
     """Return the measured constants of a section of the mix."""
     if not isinstance(given, Mapping):
-        refuse(f"mix {name}", given, "must be a mapping", f"of {', '.join(units)}, and the uncertainty")
+        refuse(f"mix {name}", given, "must be a mapping", f"with {', '.join(units)} and uncertainty")
     for key in given:
         one_of(f"mix {name}: key", key, (*units, "uncertainty"))
     values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
@@ -320,14 +348,14 @@ def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
     off = None
     if "uncertainty" in given:
         off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        between(f"mix {name}: uncertainty", off, 0, 0.9, "", "as '15 %', of the values")
+        between(f"mix {name}: uncertainty", off, 0, 0.9, "", "relative to the values, for example '15 %'")
     return Measured(values, off)
 
 
 def _layer(given: Any, folder: Path) -> Layer:
     """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
     if not isinstance(given, Mapping):
-        refuse("mix layer", given, "must be a mapping", "as {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
+        refuse("mix layer", given, "must be a mapping", "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
     if not given:
         return Layer()
     if "points" in given:
@@ -336,12 +364,19 @@ def _layer(given: Any, folder: Path) -> Layer:
         found = {}
         for key in ("diameter", "length"):
             if key not in given:
-                refuse(f"mix layer: {key}", None, "must be given, that of the pipe of the points", "as '125 mm'")
+                refuse(
+                    f"mix layer: {key}",
+                    None,
+                    "is missing: the pipe in which the points were measured must be described",
+                    "for example '125 mm'",
+                )
             found[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", found[key], "m")
             check_limit(f"mix layer: {key}", found[key], "m", key)
         found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
-        between("mix layer: rise", found["rise"], -found["length"], found["length"], "m", "what the pipe gains in it")
+        between(
+            "mix layer: rise", found["rise"], -found["length"], found["length"], "m", "the height that the pipe gains"
+        )
         return Layer(pumped=_pairs("layer: points", given["points"], PUMPED, folder), **found)
     if "tribometer" in given:
         for key in given:
@@ -349,7 +384,12 @@ def _layer(given: Any, folder: Path) -> Layer:
         return Layer(slipped=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
     constants = _constants("layer", given, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
     if len(constants.values) < 2:
-        refuse("mix layer", dict(given), "must have yield_stress and viscosity, or points, or tribometer")
+        refuse(
+            "mix layer",
+            dict(given),
+            "must have yield_stress and viscosity, or points, or tribometer",
+            "add what is missing",
+        )
     return Layer(constants)
 
 
@@ -365,5 +405,5 @@ def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> t
         one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
     if len(set(one)) < 2:
-        refuse(f"mix {name}", one, "needs two or more points, at different places")
+        refuse(f"mix {name}", one, "must have two or more different values", "add measured points")
     return one, other

@@ -55,8 +55,8 @@ def density_of(name: str) -> float | None:
         return known[-1]  # The last word is the noun, as in "limestone sand".
     meant = suggested(name, DENSITIES)
     if meant:
-        refuse("mix parts", name, "is no known ingredient", meant)
-    warn(f"mix parts: {quoted(name)} is no known ingredient, so that volumes cannot be checked")
+        refuse("mix parts", name, "is not a known ingredient", meant)
+    warn(f"mix parts: {quoted(name)} is not a known ingredient, so that volumes cannot be checked")
     return None
 
 
@@ -78,13 +78,13 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         gap = 1 - filled - air
         words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"
         if gap < -FAR_OFF or (complete and gap > FAR_OFF):
-            refuse("mix parts", ", ".join(parts), words, "list all of them, in kg/m3")
+            refuse("mix parts", ", ".join(parts), words, "list all ingredients, in kg/m3")
         if gap < -OFF or (complete and gap > OFF):
             warn(f"mix parts: {words}")
         return
     words = f"fill {filled:.3f} m3 of 1 m3"
     if filled > FILLED[1] or (complete and filled < FILLED[0]):
-        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all of them, in kg/m3")
+        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients, in kg/m3")
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
-        left = f"which leaves {100 * (1 - filled):.2g} % of air; 'air: 8 %' states it"
+        left = f"which leaves {100 * (1 - filled):.2g} % of air; state it, as in 'air: 8 %'"
         warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air'}")

@@ -114,7 +114,7 @@ class Mix:
             found.append((name, f"{value:g}" if isinstance(value, float) else value,
                           "m" if name.startswith("size_") else "mm:passing" if name == "sizes" else "", "",
                           "shape" if name == "shapes" else "sieve" if given.sieve else "sizes",
-                          "as elements have it"))  # fmt: skip
+                          "as simulated with elements"))  # fmt: skip
         return [dict(zip(COLUMNS, row, strict=True)) for row in found]
 
     def table(self) -> str:
@@ -131,7 +131,7 @@ def read_mix(name: Path | str) -> Mix:
     """
     found = mix_in(concrete(str(name)))
     if found is None:
-        refuse("mix", str(name), "has no section 'mix'", "see notebooks/mix.md for what one says")
+        refuse("mix", str(name), "has no section 'mix'", "'warpcrete mix --help' shows an example")
     return found
 
 
@@ -172,8 +172,8 @@ def mix_of(
             bulk[wanted], more = agreed(tells)
             remarks += more
     if "yield stress" not in bulk:
-        refuse("mix", ", ".join(given), "does not tell the concrete's yield stress",
-               "give spread, slump, viscometer, mortar or concrete")  # fmt: skip
+        refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
+               "add spread, slump, viscometer, mortar or concrete")  # fmt: skip
     bulk.setdefault("viscosity", unknown_viscosity())
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
@@ -182,7 +182,7 @@ def mix_of(
     slip = {figure.name: figure for figure in layer(told, fluid)} | bulk
     figures = [slip[each] for each in FLOW.values()]
     if told.sieve is None and told.sizes is None:
-        remarks.append("the mix has no sieve curve: elements have the sizes of the scene, 5 to 20 mm unless told")
+        remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
 
 

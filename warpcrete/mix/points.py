@@ -30,13 +30,13 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
             example = "flow [m3/h],pressure [bar]" if columns is PUMPED else ",".join(
                 f"{each} [{its}]" for each, its in columns.items()
             )  # fmt: skip
-            refuse(field, str(path), f"has no column {name!r}", f"its first line must be as '{example}'")
+            refuse(field, str(path), f"has no column {name!r}", f"write the first line in the form '{example}'")
         place, own = places[name]
         found.append([])
         for line, row in rows:
             each = f"{path.name}, line {line}: {name}"
             value = amount(each, f"{row[place].strip()} {own}".strip(), unit)
-            positive(each, value, unit, "leave points at rest out")
+            positive(each, value, unit, "leave out points at rest")
             check_limit(each, value, unit, name)
             found[-1].append(value)
     return found

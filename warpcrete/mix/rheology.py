@@ -63,14 +63,14 @@ def yield_stresses(given: Given) -> Iterator[Figure]:
         at = [given.spread + off for off in (READ_SPREAD, 0.0, -READ_SPREAD)]
         yield Figure("yield stress", yield_of_heap(at[1], given.density), yield_of_heap(at[0], given.density),
                      yield_of_long_heap(at[2], given.density), "Pa", f"spread of {1e3 * given.spread:.4g} mm",
-                     "heap that resists its stretch; upper end Roussel & Coussot 2005", "cone")  # fmt: skip
+                     "heap that resists its stretch; upper limit Roussel & Coussot 2005", "cone")  # fmt: skip
     if given.slump is not None:
         at = [given.slump + off for off in (READ_SLUMP, 0.0, -READ_SLUMP)]
         value = yield_of_slump(at[1], given.density)
         yield Figure("yield stress", value, yield_of_slump(at[0], given.density, 2.0),
                      yield_of_slump_measured(at[2], given.density),
                      "Pa", f"slump of {1e3 * given.slump:.4g} mm",
-                     "tall cone (Murata 1984, von Mises; lower end Tresca); upper end Ferraris & de Larrard 1998",
+                     "tall cone (Murata 1984, von Mises; lower limit Tresca); upper limit Ferraris & de Larrard 1998",
                      "cone")  # fmt: skip
 
 
@@ -90,13 +90,13 @@ def viscosities(given: Given) -> Iterator[Figure]:
         highest = max(SLOWER * value, viscosity_of_t500_sedran(given.t500, given.spread, given.density))
         yield Figure("viscosity", value, early * value / SLOWER, late * highest, "Pa s",
                      f"T500 of {given.t500:g} s and spread",
-                     "simulated here; upper end ascribed to Sedran & de Larrard 1999", "cone")  # fmt: skip
+                     "simulations; upper limit attributed to Sedran & de Larrard 1999", "cone")  # fmt: skip
 
 
 def unknown_viscosity() -> Figure:
     """Return the assumed plastic viscosity of a mix that contains no information about it."""
-    return Figure("viscosity", *UNKNOWN, "Pa s", "nothing: a guess",
-                  "Xu, Li & Jiang 2021 measured 297 to 397; of thinner concretes no source was seen")  # fmt: skip
+    return Figure("viscosity", *UNKNOWN, "Pa s", "assumption",
+                  "Xu, Li & Jiang 2021 measured 297 to 397 Pa s; no source for thinner concretes")  # fmt: skip
 
 
 def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
@@ -109,11 +109,11 @@ def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Fi
         if own is None:
             whole, (value, least, most) = bulk[name], (f[place] for f in _factors(given.share))
             own = Figure("", whole.value / value, whole.low / most, whole.high / least, unit,
-                         f"{name} of the concrete, {given.share:.3g} of aggregate",
+                         f"{name} of the concrete, share {given.share:.3g} of aggregate",
                          "Krieger & Dougherty 1959; Chateau, Ovarlez & Trung 2008")  # fmt: skip
         found.append(replace(own, name=f"mortar's {name}"))
     rest = (concrete.density - given.share * given.aggregate_density) / (1 - given.share)
-    density = around("mortar's density", rest, 0.03, "kg/m3", "density and aggregate", "what is left of the volume")
+    density = around("mortar's density", rest, 0.03, "kg/m3", "density and aggregate", "remaining volume")
     return [density, *found]
 
 
@@ -139,19 +139,19 @@ def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
     eta = sum(each.slip_viscosity for each in known) / len(CONCRETES)
     # The slip layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
     tau = min(sum(each.slip_yield for each in known) / len(CONCRETES), concrete.yield_stress)
-    source = f"a guess, off by a factor of {LAYER_OFF:g} either way: measure it"
+    source = f"assumption, uncertain by a factor of {LAYER_OFF:g} in both directions: measure it"
     return (
         Figure("slip viscosity", eta, eta / LAYER_OFF, eta * LAYER_OFF, "Pa s/m",
-               "nothing: mean of Xu, Li & Jiang 2021", source),
+               "assumption: mean of Xu, Li & Jiang 2021", source),
         Figure("slip yield", tau, tau / LAYER_OFF, tau * LAYER_OFF, "Pa",
-               "nothing: theirs, or the concrete's if less", source),
+               "assumption: mean of Xu, Li & Jiang 2021, at most that of the concrete", source),
     )  # fmt: skip
 
 
 def _stated(given: Measured, key: str, unit: str, way: str) -> Iterator[Figure]:
     if key in given.values:
         off = RHEOMETER if given.uncertainty is None else given.uncertainty
-        source = "as given" + ("" if given.uncertainty is not None else "; what a rheometer may be off by")
+        source = "as given" + ("" if given.uncertainty is not None else "; usual error of rheometers")
         yield around(key.replace("_", " "), given.values[key], off, unit, way, source)
 
 
@@ -169,7 +169,7 @@ def _thickened(own: Figure, given: Given, place: int, source: str) -> Figure:
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,
-                  f"mortar with {given.share:.3g} of aggregate", source)  # fmt: skip
+                  f"mortar with a share {given.share:.3g} of aggregate", source)  # fmt: skip
 
 
 def _off(error: float, count: int, value: float, default: float) -> float:
@@ -205,7 +205,7 @@ def _fitted_layer(fit: StraightLine, count: int, way: str) -> tuple[Figure, Figu
 def _of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):
-        refuse(f"mix {name}", round(value, 6), f"is what the line through {way} asks for, and nothing has it",
-               "look at the points and their units")  # fmt: skip
-    source = "straight line, 95 %" if count > 2 else "straight line; two points do not tell how far it is off"
+        refuse(f"mix {name}", round(value, 6), f"is the result of a straight line through {way}, but is impossible",
+               "check the points and their units")  # fmt: skip
+    source = "straight line, 95 %" if count > 2 else "straight line; two points give no uncertainty"
     return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)

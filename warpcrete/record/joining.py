@@ -27,8 +27,12 @@ def join(parts: Sequence[Path], path: Path) -> None:
     if done.returncode != 0 or not partial.is_file():
         partial.unlink(missing_ok=True)
         number = re.search(r"os error (\d+)", done.stderr)
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        cause = OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(f"not joined: {last}")
+        last = (done.stderr.strip().splitlines() or ["no error message"])[-1]
+        cause = (
+            OSError(int(number[1]), os.strerror(int(number[1])))
+            if number
+            else OSError(f"the parts could not be joined: {last}")
+        )
         raise cannot_write(path, cause)
     partial.replace(path)
     for part in parts:

@@ -40,7 +40,7 @@ def meaning(display: Display) -> str:
 def paint_meaning(paint: Paint) -> str:
     """Return a sentence that explains the colours of painted walls."""
     if not paint.upper > 0:
-        return f"Colours: {paint.label}, nothing yet, on {paint.palette}."
+        return f"Colours: {paint.label}, zero everywhere so far, on {paint.palette}."
     return f"Colours: {paint.label} from 0 to {paint.upper:.3g} and above, on {paint.palette}."
 
 

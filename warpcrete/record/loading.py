@@ -38,8 +38,9 @@ def load(folder: Path | str) -> Run:
             for path in [*folder.glob("*/scene.json"), *folder.glob("parts/*/scene.json")]
         )
         raise RunFolderError(
-            f"'{folder}': " + ("is no folder" if not folder.is_dir() else "is no run folder (it holds no scene.json)")
-            + (f"; runs are in {', '.join(studies[:3])} ..." if studies else "")
+            f"'{folder}': "
+            + ("is not a folder" if not folder.is_dir() else "is not a run folder (it holds no scene.json)")
+            + (f"; its runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
     record = read_record(folder / "scene.json")
     scene: Any = SimpleNamespace(name=record.get("scene"), parameters=record.get("parameters"))
@@ -68,12 +69,14 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
     """Return the contents of a scene.json, and the module of its scene."""
     record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
-        raise RunFolderError(f"'{path}': names no scene of this version ({', '.join(known)})")
+        raise RunFolderError(f"'{path}': does not name a scene of this version ({', '.join(known)})")
     module = known[record["scene"]]
     parameters = module.scene.resolved(record["parameters"])
     unknown = sorted(set(parameters) - set(module.scene.fields(parameters)))
     if unknown:
-        raise RunFolderError(f"'{path}': has parameters that {record['scene']} does not: {', '.join(unknown)}")
+        raise RunFolderError(
+            f"'{path}': has parameters that scene {record['scene']} does not have: {', '.join(unknown)}"
+        )
     return record, module
 
 
@@ -94,10 +97,10 @@ def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
     if not changed:
         return
     if not record.get("parameters"):
-        raise RunFolderError(f"'{path}': is of a scene that was built in Python, not by a scene function; repeat it, "
-                             "or go on with it, there")  # fmt: skip
-    raise RunFolderError(f"'{path}': is of a scene whose {', '.join(changed)} changed after its function had made it, "
-                         "so that its parameters make another one; repeat it, or go on with it, in Python")  # fmt: skip
+        raise RunFolderError(f"'{path}': its scene was built in Python, not with a scene function; repeat or "
+                             "resume the run in Python")  # fmt: skip
+    raise RunFolderError(f"'{path}': its scene was changed ({', '.join(changed)}) after its function had built it, "
+                         "so its parameters are not enough; repeat or resume the run in Python")  # fmt: skip
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -115,5 +118,5 @@ def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         rows = np.array(lines[1:], dtype=float).reshape(-1, len(named))
         units = {name: unit for name, unit in named}
     except (ValueError, csv.Error) as error:
-        raise RunFolderError(f"'{path}': is no series of a run ({error})") from None
+        raise RunFolderError(f"'{path}': is not a series of a run ({error}); restore the file") from None
     return {name: rows[:, place] for place, name in enumerate(units)}, units

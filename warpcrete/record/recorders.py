@@ -43,11 +43,11 @@ class Kind:
 
 
 RECORDERS = (
-    Kind("rerun", True, "write run.rrd", lambda folder, look: RerunRecorder(
+    Kind("rerun", True, "Write run.rrd for the Rerun viewer", lambda folder, look: RerunRecorder(
         folder / "run.rrd", live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)),
-    Kind("usd", True, "write scene.usdc", lambda folder, look: UsdRecorder(
+    Kind("usd", True, "Write scene.usdc for USD viewers and Blender", lambda folder, look: UsdRecorder(
         folder / "scene.usdc", colouring=look.colouring, velocities=False)),
-    Kind("paraview", False, "write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
+    Kind("paraview", False, "Write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
          lambda folder, look: ParaViewRecorder(folder, colouring=look.colouring)),
 )  # fmt: skip
 

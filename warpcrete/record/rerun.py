@@ -76,8 +76,8 @@ class RerunRecorder(Recorder):
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._bind = bind
         if live is True and not has_screen():
-            refuse("live", live, "there is no screen here (DISPLAY is not set)",
-                   "give the URL of a viewer that runs elsewhere, or 'warpcrete view --web' the folder")  # fmt: skip
+            refuse("live", live, "needs a screen, but none was found (DISPLAY is not set)",
+                   "give the URL of a running viewer, or use 'warpcrete view --web' with the folder")  # fmt: skip
         self._recording: Any = None
         self._later = Later(beside=False)
         self._display: Display | None = None
@@ -90,7 +90,12 @@ class RerunRecorder(Recorder):
             try:
                 rr.GrpcSink(live)
             except (RuntimeError, ValueError) as error:
-                refuse("live", live, f"is no viewer's URL ({error})", "for example rerun+http://127.0.0.1:9876/proxy")
+                refuse(
+                    "live",
+                    live,
+                    f"is not the URL of a viewer ({error})",
+                    "for example rerun+http://127.0.0.1:9876/proxy",
+                )
 
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, and send the blueprint and all data that does not change."""
@@ -106,7 +111,7 @@ class RerunRecorder(Recorder):
         """Delete the parts written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
-                warnings.warn(f"'{self.path}': is missing; the recording begins anew", stacklevel=2)
+                warnings.warn(f"'{self.path}': is missing; a new recording starts here", stacklevel=2)
                 self.start(simulation)
                 return
             for path in self._later_parts(state["parts"]):
@@ -261,7 +266,7 @@ class RerunRecorder(Recorder):
                 raise
             # Rerun waits for a viewer that has gone before it closes the file.
             if not self._disconnect(GOODBYE if watched and not self.live else PATIENCE):
-                raise self._trouble(RuntimeError("the writer does not end"))
+                raise self._trouble(RuntimeError("the writer thread did not finish in time"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Join the parts of the recording into one file."""
@@ -366,7 +371,7 @@ class RerunRecorder(Recorder):
         if not self.live:
             raise self._trouble(trouble) from trouble
         # A viewer that has gone must not stop the run, because the file has all data.
-        warnings.warn(f"the Rerun viewer did not take the whole recording: {trouble}", stacklevel=2)
+        warnings.warn(f"the Rerun viewer did not receive the whole recording: {trouble}", stacklevel=2)
         self.live = False
 
     def _disconnect(self, patience: float) -> bool:

@@ -53,7 +53,7 @@ class UsdRecorder(Recorder):
         try:
             layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
         except Tf.ErrorException:
-            warnings.warn(f"'{self.path}': is missing or damaged; it begins anew", stacklevel=2)
+            warnings.warn(f"'{self.path}': is missing or damaged; a new recording starts here", stacklevel=2)
             self.start(simulation)
             return
         self._first, self._last = state["first"], state["last"]
@@ -190,7 +190,7 @@ class UsdRecorder(Recorder):
             except Tf.ErrorException as error:
                 raise cannot_write(self.path, error) from error
             if not written:
-                raise cannot_write(self.path, OSError("the library does not say why"))
+                raise cannot_write(self.path, OSError("no reason given by the library"))
 
 
 class _Instances:
