@@ -37,7 +37,7 @@ ACCURACY = 0.03
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
-ALONE = Needs("line", lambda line: line is None, "is not given")
+ALONE = Needs("line", lambda line: line is None, "is left out")
 APART = 3.0
 """Cells between two legs of a line, at least, for no cell to have concrete of both."""
 

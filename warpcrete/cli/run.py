@@ -85,7 +85,7 @@ def run(
     if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:
-        refuse("network", True, f"is not possible for {display.noun}, which has no contacts to draw", "leave it out")
+        refuse("network", True, f"needs contacts between bodies, which a scene of {display.noun} does not have")
     settings = settings | {"threads": settings["threads"] or default_threads()}
     if settings["pipeline_other"] is not None:
         settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())

@@ -106,7 +106,7 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
             )
     if text["processor"] != processor():
         warnings.warn(
-            f"'{path}': was written on {text['processor']}, and continues on {processor()}: results may differ in the "
+            f"'{path}': was written on {text['processor']}; the run continues on {processor()}, and results may differ in the "
             "last digits from those of an uninterrupted run",
             stacklevel=2,
         )
