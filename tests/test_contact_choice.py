@@ -142,7 +142,7 @@ def test_a_law_that_text_does_not_tell_whole_is_recorded_but_not_repeated(tmp_pa
         assert scene.contact == law and changed_fields(scene) == ["contact"]
         record = saved(scene, tmp_path)
         assert json.loads(record.read_text())["modified"]["contact"]["push"] == 1.0
-        assert "its scene was changed .contact. after" in refused("run", record, "--out", tmp_path / "out")
+        assert "its scene was changed (contact) after" in refused("run", record, "--out", tmp_path / "out")
         with pytest.raises(SceneError, match="cannot be recreated in another run or process"):
             run_trade("pipe", pipe_module, base={"contact": law}, out=tmp_path / "out", budget=1.0, device="cpu")
         with pytest.raises(SceneError, match="cannot be recreated in another run or process"):
@@ -181,7 +181,7 @@ def test_a_law_file_that_changed_is_not_taken_for_the_one_of_the_run(tmp_path, m
     assert "my_law.py', which has changed" in refused("run", record, "--out", tmp_path / "out")
     monkeypatch.delitem(sys.modules, "my_law")
     file.unlink()
-    assert "my_law.py', which is gone" in refused("run", record, "--out", tmp_path / "out")
+    assert "my_law.py', which is missing" in refused("run", record, "--out", tmp_path / "out")
 
 
 def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):

@@ -70,7 +70,7 @@ def test_what_is_no_run_folder_is_refused(ran, tmp_path):
         warpcrete.load(tmp_path)
     study = tmp_path / "study"
     shutil.copytree(ran.folder, study / "001")
-    with pytest.raises(RunFolderError, match=r"holds no scene\.json\); runs are in 001"):
+    with pytest.raises(RunFolderError, match=r"holds no scene\.json\); its runs are in 001"):
         warpcrete.load(study)
     (study / "parts").mkdir()
     (study / "001").rename(study / "parts" / "bend")

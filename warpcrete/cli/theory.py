@@ -98,7 +98,7 @@ def _share(given: float | None, name: str) -> float:
         return given
     mix = mix_named(name)
     if mix is None or mix.given.share is None:
-        refuse("aggregate", None, "is missing: --segregation needs the share of aggregate in the concrete",
+        refuse("aggregate", None, "must be given for --segregation, as the concrete does not state its aggregate",
                "add, for example, --aggregate 0.36")  # fmt: skip
     return mix.given.share
 

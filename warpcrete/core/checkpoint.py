@@ -106,8 +106,8 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
             )
     if text["processor"] != processor():
         warnings.warn(
-            f"'{path}': was written on {text['processor']}; the run continues on {processor()}, and results may differ in the "
-            "last digits from those of an uninterrupted run",
+            f"'{path}': was written on {text['processor']}; the run continues on {processor()}, and results may differ "
+            "in the last digits from those of an uninterrupted run",
             stacklevel=2,
         )
     return {key: _unflatten(value, arrays) for key, value in text["contents"].items()}

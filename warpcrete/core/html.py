@@ -28,5 +28,5 @@ class Parametrised:
         """Parameters that have a value, as a table."""
         rows = [(name, value) for name, value in self.parameters.items() if value is not None and value != ""]
         if rows and (changed := changed_fields(self)):
-            rows.append(("changed since", ", ".join(changed)))
+            rows.append(("changed after creation", ", ".join(changed)))
         return html_table(rows, caption=repr(self))

@@ -213,9 +213,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if len(entries) > MOST_PARTS:
         refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "merge neighbouring straight parts")
     if "diameter" not in given:
-        refuse(
-            "diameter", None, "is missing: the diameter of the first part is required", "for example 'diameter: 125 mm'"
-        )
+        refuse("diameter", None, "must be given for the first part", "for example 'diameter: 125 mm'")
     diameter, stone, flow, recorded = (
         _above(given, field, AMOUNTS[field][0]) for field in ("diameter", "largest_stone", "flow", "recorded")
     )

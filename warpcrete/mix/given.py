@@ -221,8 +221,8 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
             refuse(
                 "mix density",
                 None,
-                "is missing: the density of the concrete is required",
-                "add 'density: 2350 kg/m3' or parts",
+                "must be given for the concrete",
+                "add 'density: 2350 kg/m3', or parts",
             )
         return own, False
     parts = given["parts"]
@@ -367,7 +367,7 @@ def _layer(given: Any, folder: Path) -> Layer:
                 refuse(
                     f"mix layer: {key}",
                     None,
-                    "is missing: the pipe in which the points were measured must be described",
+                    "must be given for the pipe in which the points were measured",
                     "for example '125 mm'",
                 )
             found[key] = amount(f"mix layer: {key}", given[key], "m")
