@@ -156,7 +156,7 @@ def _check_wall(given: PartParameters) -> None:
 def _mesh(given: PartParameters) -> _Course:
     """Return the course of a mesh's bore, which goes on straight before its start and behind its end."""
     if given.wall is None:
-        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
+        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > FIT:

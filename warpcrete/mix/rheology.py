@@ -144,7 +144,7 @@ def layer(given: Given, concrete: Concrete) -> tuple[Figure, Figure]:
         Figure("slip viscosity", eta, eta / LAYER_OFF, eta * LAYER_OFF, "Pa s/m",
                "assumption: mean of Xu, Li & Jiang 2021", source),
         Figure("slip yield", tau, tau / LAYER_OFF, tau * LAYER_OFF, "Pa",
-               "assumption: mean of Xu, Li & Jiang 2021, at most that of the concrete", source),
+               "assumption: mean of Xu, Li & Jiang 2021, or less", source),
     )  # fmt: skip
 
 
