@@ -1,14 +1,14 @@
-"""Sphere-sphere contact forces over a stored neighbour list, on a CPU.
+"""Contact forces between spheres over a stored neighbour list, on a CPU.
 
-In the *half* list of a CPU, where a thread owns the spheres of a chunk, a pair inside a chunk stands once and its force
-is added to both spheres; a pair across two chunks stands at both. (The list of a GPU holds all pairs at both spheres:
-see `links`.) A pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute and
-store the same bits.
+A CPU uses *half* lists: each thread owns the spheres of a chunk. A pair inside a chunk has one entry, and its force is
+added to both spheres. A pair across two chunks has an entry at both spheres. (GPU lists hold every pair at both
+spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute
+and store the same bits.
 
-A row of the list is gone through twice: first the distances, which leave a bit for each contact, then the
-contacts, one bit after the other, which are gathered into lanes (see `lanes`) and evaluated when these are full. The
-bits of the first BLOCK entries are kept for the next step, so that contacts which have parted are known without reading
-the history of all that never touched.
+The kernel goes through each row of the list twice. The first pass computes distances and sets one bit for each contact.
+The second pass gathers these contacts into lanes (see `lanes`) and evaluates the lanes whenever they are full. The bits
+of the first BLOCK entries are kept for the next step. They show which contacts have parted without reading the history
+of pairs that never touched.
 """
 
 import functools
@@ -25,8 +25,11 @@ from .structs import DT_PREVIOUS, array_structs
 
 
 def contact_options(half: bool) -> dict:
-    """Of the compiler. A GPU's exact division and root are subroutines that take most of a contact's time; those of
-    `fast_math` are off by two units in the last place, in single precision only."""
+    """Return the compiler options of a contact kernel.
+
+    On a GPU, exact division and square root are subroutines that take most of a contact's time. With `fast_math` they
+    are inexact by up to two units in the last place, in single precision only.
+    """
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 
 
@@ -34,10 +37,10 @@ def contact_options(half: bool) -> dict:
 def contact_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Kernel over spheres of a half list: adds contact forces [N] and moments about sphere centres [N m].
+    """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m], with half lists.
 
-    With `dissipation` it also adds up what energy friction, dashpots and breaking bonds take [J]. The launch owns
-    spheres `first` to `last`.
+    With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. The launch
+    owns spheres `first` to `last`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
