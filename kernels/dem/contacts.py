@@ -74,7 +74,7 @@ def contact_kernel(
     ):
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
-        count = wp.int32(0)  # of lanes that are taken
+        count = wp.int32(0)  # number of lanes in use
         used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1
@@ -84,8 +84,8 @@ def contact_kernel(
         begin, block, end, bits = wp.int32(0), wp.int32(0), wp.int32(0), wp.int32(0)
         dt = scalar(0.0)
         position_i, velocity_i, spin_i = t.vec4(), t.vec4(), t.vec3()
-        # Bit by bit of a block, block by block of a row, sphere by sphere, in one loop: what evaluates lanes is long,
-        # and stands in it once.
+        # One loop runs over the bits of a block, the blocks of a row and the rows of spheres. Nested loops would
+        # contain several calls of the long function `evaluate`; in one loop it is compiled once.
         going = wp.bool(True)
         while going:
             full = wp.bool(False)
@@ -103,7 +103,7 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    full = block < end  # energies of a row are added up in the order of its blocks
+                    full = block < end  # energies of a row are summed block by block
                 if block >= end:
                     i = i + 1
                     begin = 0
@@ -118,7 +118,7 @@ def contact_kernel(
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
                             row = scenes.row[s].laws + material * scenes.row[s].materials
-                            # The displacement that led here is that of the step before.
+                            # The current overlap results from the displacement of the previous step.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)
@@ -129,7 +129,7 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # What a stiff bond held may part at its first look after that broke.
+                        # A pair held by a stiff bond may part at the first check after that bond broke.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

@@ -25,9 +25,9 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
     """Return functions that all threads of a warp of `width` threads must call together.
 
     `anywhere` returns True if a condition holds for any thread. `from_lane` reads a number of another thread, and
-    `energy_from_lane` does so in double precision. `settle` is a memory barrier: after it, threads may overwrite what other
-    threads have read. `bits_of_lanes` and `least_of_lanes` return the bitwise or and the minimum over groups of `lanes`
-    adjacent threads, where `lanes` is a power of two.
+    `energy_from_lane` does so in double precision. `settle` is a memory barrier: after it, threads may overwrite what
+    other threads have read. `bits_of_lanes` and `least_of_lanes` return the bitwise or and the minimum over groups of
+    `lanes` adjacent threads, where `lanes` is a power of two.
     """
     alone = width == 1
     taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
