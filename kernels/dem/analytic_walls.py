@@ -332,17 +332,17 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wall_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Rows of this launch, and number of the CPU thread.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

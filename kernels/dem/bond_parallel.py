@@ -50,13 +50,13 @@ def bond_functions(scalar):
 
     @wp.struct
     class Bond:
-        effective_modulus: scalar
-        shear_to_normal: scalar
-        tensile_strength: scalar
-        cohesion: scalar
-        tan_friction_angle: scalar
-        radius_multiplier: scalar
-        moment_factor: scalar
+        effective_modulus: scalar  # bond modulus E, with normal stiffness E area / length [Pa]
+        shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
+        tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
+        cohesion: scalar  # shear strength at zero normal stress [Pa]
+        tan_friction_angle: scalar  # increase of shear strength per compressive stress
+        radius_multiplier: scalar  # bond radius divided by the smaller sphere radius
+        moment_factor: scalar  # share of bending and torsion that counts in the peak stresses
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):
@@ -83,7 +83,7 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """Return the bond's new force, moment and state; for a broken bond, the load that broke it.
+        """Return the new force, moment and state of a bond; a broken bond returns the load that broke it.
 
         `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) component. `stretch` is
         the exact change of the distance between the centres in this step. The approximation `velocity dt` along the

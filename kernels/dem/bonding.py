@@ -27,10 +27,10 @@ def bond_kernels(scalar):
         healing: wp.bool,
         gap: scalar,
         group: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         bodies: Bodies,
         spheres: Spheres,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
     ):
         """Bond all unbonded pairs within the gap; `group` >= 0 restricts this to pairs inside that group.
@@ -56,9 +56,9 @@ def bond_kernels(scalar):
         new_kind: wp.int32,
         fraction: wp.float64,
         seed: wp.uint32,
-        # state, read
+        # Arrays of the state, read only.
         spheres: Spheres,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
     ):
         """Give a random fraction of the bonds of one kind another kind.

@@ -41,8 +41,7 @@ def arrived_function(scalar):
 def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
     """Return True if the step goal, the next estimate of the stable step or the end time is reached.
 
-    The first two arguments count the steps beyond the goal and beyond the next estimate; `left` is the remaining time
-    [s].
+    `beyond_goal` and `beyond_estimate` count steps beyond the goal and the next estimate; `left` is the time left [s].
     """
     return beyond_goal >= 0 or beyond_estimate >= 0 or not (left > wp.float64(wp.static(CLOSE)) * dt)
 

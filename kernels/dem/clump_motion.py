@@ -143,13 +143,13 @@ def clump_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
-        # model
+        # Arrays of the model.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # chunk
+        # Rows of this launch, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes, pairs: Pairs,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
     ):  # fmt: skip
         lanes = 1 << lane_bits

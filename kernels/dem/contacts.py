@@ -59,16 +59,16 @@ def contact_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # chunk
+        # Rows of this launch.
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         pairs: Pairs,
     ):
@@ -103,7 +103,8 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    full = block < end  # energies of a row are summed block by block
+                    # The lanes are evaluated after each block, so that the energies of a row add up block by block.
+                    full = block < end
                 if block >= end:
                     i = i + 1
                     begin = 0

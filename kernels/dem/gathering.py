@@ -49,26 +49,26 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Scenes with an estimate due, rows of this launch, number of the CPU thread, and kind of pairs.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         stiff: wp.bool,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # written
+        # Arrays that are written.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)
@@ -121,7 +121,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 load_wall(estimate, part, w, k)
-        if wp.static(half):  # contributions of pairs that are listed at the other sphere
+        if wp.static(half):  # add the pairs that are listed at the other sphere
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]
             sums.k_turn = sums.k_turn + estimate.sums[i, 2]

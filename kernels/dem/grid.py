@@ -24,7 +24,7 @@ def grid_struct(scalar):
     class Grid:
         dims: wp.vec3i  # number of cells along each axis
         per_width: wp.array(dtype=scalar)  # inverse width of a cell [1/m], shape (1,)
-        held: wp.array(dtype=wp.int32)  # number of points in each cell, then 0, shape (cells + 1,)
+        held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)  # index in `point` of each cell's first point, and the end, shape (cells + 1,)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
         rank: wp.array(dtype=wp.int32)  # rank of each point within its cell, in any order, shape (points,)
@@ -54,7 +54,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     def along(v: scalar) -> wp.int32:
         """Return the cell number of a coordinate, given in cell widths."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # the order of comparison also maps NaN to a far cell
+        place = wp.where(v > -far, v, -far)  # this comparison also maps NaN to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

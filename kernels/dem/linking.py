@@ -11,7 +11,7 @@ from .pairs import BLOCK, decode
 from .structs import array_structs, links_struct
 
 MORE = wp.constant(4)
-"""Bit masks per sphere for the list entries after the first BLOCK, which have `spheres.touching`."""
+"""Number of bit masks per sphere for list entries after the first BLOCK, whose bits are in `spheres.touching`."""
 BITS = wp.constant((int(MORE) + 1) * int(BLOCK))
 """Number of leading entries in a row whose touching is recorded in bit masks; later entries have no bits.
 

@@ -52,17 +52,17 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
-        # chunk
+        # Rows of this launch.
         first: wp.int32,
         last: wp.int32,
-        # read
+        # Arrays that are only read.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         found: wp.array(dtype=wp.int32),
-        # read and written
+        # Arrays that are read and written.
         spheres: Spheres,
         pairs: Pairs,
     ):

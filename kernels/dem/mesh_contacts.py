@@ -1,15 +1,15 @@
 """Contact of spheres with triangle meshes.
 
 A mesh contact is accepted only where the triangle's closest point is a local minimum of the distance to the *whole*
-surface. On an edge, neither adjacent face may approach the sphere's centre; at a corner, no edge that meets there may.
-This gives exactly one contact on any triangulated plane and on convex edges and corners, whatever the triangle sizes.
-Facets that approximate a concave curved surface can each hold a minimum. Minima whose normals differ by less than
-`MERGE_ANGLE` therefore count as one contact, and the deepest one is used.
+surface. On an edge, a step along either adjacent face must not lead closer to the sphere's centre; at a corner, the
+same holds for every edge that meets there. This gives exactly one contact on any triangulated plane and on convex edges
+and corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a minimum.
+Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one contact, and the deepest one is used.
 
 A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
-through the nearer contact point, perpendicular to the nearer normal. The outer skin of a wall that is thinner than the
-overlap thus adds no force. The same holds for edges of coincident faces that do not share corners. Where the overlap is
-small, no true contact is hidden.
+through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
+The outer skin of a wall that is thinner than the overlap thus adds no force. The same holds for edges of coincident
+faces that do not share corners. Where the overlap is small, no true contact is hidden.
 
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
@@ -32,7 +32,7 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # angle between the normals of two mesh contacts below which they count as one [degrees]
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-2  # tolerance for hidden points in front of the nearer plane, in radii, for rounded corners
+BEHIND = 2.0e-2  # tolerance of hiding, in sphere radii: hidden points may lie this far ahead
 MESH_SLOTS = 6  # mesh contact slots of a sphere, after those of planes and pipes; more contacts set OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -303,17 +303,17 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # chunk
+        # Rows of this launch, and number of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
@@ -427,15 +427,15 @@ def candidate_kernels(scalar):
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def find_candidates(
-            # model
+            # Arrays of the model.
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
-            # state, read
+            # Arrays of the state, read only.
             flags: wp.array2d(dtype=wp.int32),
             scenes: Scenes,
             spheres: Spheres,
             walls: Walls,
-            # Written: the count of each sphere, or its candidates.
+            # Arrays that are written: the count of each sphere, or its candidates.
             count: wp.array(dtype=wp.int32),
             candidates: Candidates,
         ):

@@ -30,7 +30,7 @@ BROKEN_TENSION = wp.constant(9)  # number of bonds broken in tension since the s
 BROKEN_SHEAR = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # columns combined by maximum, not sum
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # columns of which the maximum is taken
 
 # Columns of the sums over bodies.
 KINETIC = wp.constant(0)  # kinetic energy at the middle of the last step [J]
@@ -121,15 +121,15 @@ def body_probe(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(
-        # model
+        # Arrays of the model.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # state, read
+        # Arrays of the state, read only.
         s: wp.int32,
         scenes: Scenes,
         bodies: Bodies,
-        # written
+        # Arrays that are written.
         values: wp.array2d(dtype=wp.float64),
     ):
         b = scenes.row[s].bodies + wp.tid()
@@ -251,12 +251,12 @@ def load_probe(scalar):
     @wp.kernel(module="unique", enable_backward=False)
     def raise_loads(
         s: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         spheres: Spheres,
         pairs: Pairs,
         pair_normal_force: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         loads: wp.array(dtype=scalar),
     ):
         base = scenes.row[s].spheres
@@ -295,23 +295,23 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_contacts(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Scene, and rows of this launch.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # written
+        # Arrays that are written.
         values: wp.array2d(dtype=wp.float64),
         pair_normal_force: wp.array(dtype=scalar),
     ):

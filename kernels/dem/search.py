@@ -236,19 +236,19 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # chunk
+        # Rows and number of this chunk, and bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         boxes: wp.array2d(dtype=t.vec3),
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         room: wp.vec2i,
@@ -367,7 +367,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
@@ -375,7 +375,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         old_place: wp.array(dtype=wp.int32),
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         count: wp.array(dtype=wp.int32),
         finds: wp.array2d(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),

@@ -68,12 +68,12 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def keys(
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         sort: wp.array(dtype=wp.int32),
         lowest: wp.array2d(dtype=wp.int32),
-        # written
+        # Arrays that are written.
         key: wp.array(dtype=wp.int64),
         value: wp.array(dtype=wp.int32),
     ):
@@ -103,12 +103,12 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def place_spheres(
-        # read
+        # Arrays that are only read.
         scenes: Scenes,
         order: wp.array(dtype=wp.int32),
         old_first: wp.array(dtype=wp.int32),
         new_start: wp.array(dtype=wp.int32),
-        # written
+        # Arrays that are written.
         bodies: Bodies,
         spheres: Spheres,
         old_place: wp.array(dtype=wp.int32),

@@ -2,11 +2,14 @@
 
 For each body, the 3x3 stiffness K and damping C of all its touching or bonded contacts are added up. The same is done
 for rotation about the centroid, from the lever arms of contacts and the moments of bonds; these matrices are rotated to
-principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums, the step is min 2 m /
-(c + sqrt(c^2 + 4 m k)). This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots
-that use the velocity of half a step ago; the half allows neighbours of equal mass to move in opposition. For one
-contact it equals PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts it adds up the dashpots, which PFC's
-formula does not.
+principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums, the step is the minimum
+over all bodies of
+
+    dt = 2 m / (c + sqrt(c^2 + 4 m k)).
+
+This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots that use the velocity of
+half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For one contact, dt equals
+PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt includes all dashpots, which PFC's formula does not.
 
 An automatic step obeys two more limits. Impacts that lose little energy are resolved finely enough not to gain any, and
 no sphere moves further in a step than a fraction LEAP of its radius.
@@ -61,12 +64,12 @@ def begin_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def begin_estimate(
-        # read
+        # Arrays that are only read.
         asked: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # written
+        # Arrays that are written.
         due: wp.array(dtype=wp.int32),
         estimate: Estimate,
     ):
@@ -218,10 +221,10 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
     def reduce_step(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
-        # state, read
+        # Arrays of the state, read only.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         part: wp.int32,
@@ -229,7 +232,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
-        # written
+        # Arrays that are written.
         estimate: Estimate,
     ):
         b = begin + wp.tid()
@@ -328,13 +331,13 @@ def settle_kernel(scalar, subcycling: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
-        # read
+        # Arrays that are only read.
         due: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         estimate: Estimate,
         subcycled: Subcycled,
         walls: Walls,
-        # read and written
+        # Arrays that are read and written.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
     ):

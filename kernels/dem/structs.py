@@ -34,16 +34,16 @@ def scene_struct(scalar):
 
     @wp.struct
     class SceneRow:
-        gravity: t.vec3
-        local_damping: scalar
-        speed_limit: scalar
+        gravity: t.vec3  # acceleration of gravity [m/s2]
+        local_damping: scalar  # coefficient of local damping; 0: off
+        speed_limit: scalar  # body speed above which the scene fails [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
         sphere_allowance: scalar  # part of the mesh skin reserved for motion of spheres; moving meshes use the rest [m]
-        growth_rate: scalar
-        growth_end: scalar
+        growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
+        growth_end: scalar  # size scale factor at which the growth stops
         safety: wp.float64  # safety factor of the automatic time step
-        largest_step: wp.float64
+        largest_step: wp.float64  # upper limit of the automatic time step [s]
         fixed_step: wp.float64  # fixed time step [s]; 0: automatic
         until: wp.float64  # time at which the scene halts [s]
         interval: wp.int32  # steps between two estimates of the stable step
@@ -190,7 +190,7 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         touched: wp.array(dtype=wp.int32)  # 0: apart, 1: touching, 2: parted, with a loss to count, 3: stiff bond
-        more: wp.array(dtype=wp.int32)  # `spheres.touching` for later list entries, shape (MORE x spheres,)
+        more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
         end: wp.array(dtype=wp.int32)  # per list entry: index p of its link in the scene; for a twin, -1 - p
         # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
         # that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
@@ -246,8 +246,8 @@ def subcycled_struct(scalar):
         velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]
         spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
-        other_force: wp.array(dtype=t.vec3)  # force of all contacts other than stiff pairs [N]
-        other_torque: wp.array(dtype=t.vec3)  # torque of all contacts other than stiff pairs, about the centroid [N m]
+        other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
+        other_torque: wp.array(dtype=t.vec3)  # torque of those other forces about the centroid [N m]
         force: wp.array(dtype=t.vec3)  # force of each pair end on its body, grouped by body [N], shape (2 pairs,)
         torque: wp.array(dtype=t.vec3)  # torque of each pair end about the centroid [N m], shape (2 pairs,)
         member: wp.array(dtype=wp.int32)  # for every body of the batch: 1 + its row in this struct, or 0

@@ -11,8 +11,8 @@ from .structs import array_structs
 def wear_kernel(scalar, law):
     """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
-    The yield stress that the layer gained at rest decays exponentially with the slip: `gained` exp(-slip /
-    `breakdown`). Slip is the travel of one wall since slip began, so the kernel may run at any time.
+    The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of
+    one wall since slip began, so the kernel may run at any time.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -25,10 +25,10 @@ def wear_kernel(scalar, law):
         breakdown: wp.array(dtype=wp.float64),  # slip after which the gain has fallen to 1/e, one a scene [m]
         begun: wp.array(dtype=wp.float64),  # travel of the wall at which slip began, one a scene [m]
         slip_wall: wp.array(dtype=wp.int32),  # index in the batch of the wall whose travel is the slip, one a scene
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         walls: Walls,
-        # read and written
+        # Arrays that are read and written.
         wall_parameters: wp.array(dtype=Parameters),
     ):
         s = wp.tid()

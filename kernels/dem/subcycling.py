@@ -11,8 +11,8 @@ with its velocity. For a group of bodies that moves as a whole this scheme equal
 drift). Momentum is conserved, because both bodies of a contact receive the same impulse.
 
 An alternative was tried and rejected: the usual scheme that applies all other forces as one kick per step (Tuckerman et
-al. 1992). A kick loads a stiff bond by the force times the number of the bond's periods in a step, which broke bonds
-that survive without sub-cycling. Forces held constant, as used here, have a drawback too. They feed energy into
+al. 1992). A kick loads a stiff bond with the force multiplied by the number of bond periods in a step, which broke
+bonds that survive without sub-cycling. Forces held constant, as used here, have a drawback too. They feed energy into
 vibrations with periods between half a step and a full step, mostly through the dashpots of ordinary contacts, which act
 when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow (`PART`),
 and stiff bonds have dashpots (`RELAXATION`).
@@ -184,17 +184,17 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def subcycle_pairs(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # chunk and round
+        # Rows of this launch, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
         subcycled: Subcycled,
     ):
@@ -281,14 +281,14 @@ def body_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # chunk and round
+        # Rows of this launch, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * SPAN
@@ -314,18 +314,18 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def subcycle_all(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # how
+        # Number of threads and of barrier participants, and sizes of the arrays.
         threads: wp.int32,
         parties: wp.int32,
         body_count: wp.int32,
         pair_count: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
         subcycled: Subcycled,
         gate: wp.array(dtype=wp.int32),
@@ -365,12 +365,12 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
-        # chunk
+        # Rows of this launch.
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

@@ -33,15 +33,15 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def surface_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # state, read
+        # Arrays of the state, read only.
         count: wp.int32,
         lane_bits: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

@@ -9,7 +9,7 @@ from ..common.types import types
 from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
-SPEED_LIMIT = 1.0e4  # speed above which a scene fails [m/s]; far above any pumped or dropped concrete
+SPEED_LIMIT = 1.0e4  # speed above which a scene fails [m/s]; far above that of pumped or dropped concrete
 
 
 @wp.func
@@ -120,9 +120,9 @@ def advance_kernel(scalar, strokes: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32),
         walls: Walls,
     ):
@@ -131,7 +131,7 @@ def advance_kernel(scalar, strokes: bool):
         if flags[s, HALTED] != 0:
             return
         dt, previous = wp.float64(scenes.clock[s, DT]), wp.float64(scenes.clock[s, DT_PREVIOUS])
-        kick = wp.float64(0.5) * (dt + previous)  # the velocity kick spans the middles of two steps
+        kick = wp.float64(0.5) * (dt + previous)  # time from the middle of the previous step to that of this one
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
         # All loads are issued before the first store. Alternating loads and stores would add up memory latencies and
@@ -152,7 +152,8 @@ def advance_kernel(scalar, strokes: bool):
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # Work on the concrete during half of the previous step (at its velocity); half of this step follows below.
+        # The wall's work on the concrete is added in two halves. This half belongs to the previous step, with the
+        # velocity of that step. The half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:
