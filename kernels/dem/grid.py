@@ -54,7 +54,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     def along(v: scalar) -> wp.int32:
         """Return the cell number of a coordinate, given in cell widths."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # this comparison also maps NaN to the farthest cell
+        place = wp.where(v > -far, v, -far)  # NaN fails this comparison and is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func

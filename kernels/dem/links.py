@@ -219,11 +219,11 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                held_apart = kind == HYDRATED  # sub-cycling rounds step this pair
+                held_apart = kind == HYDRATED  # sub-cycling rounds step a pair in a stiff bond
                 close = close and not held_apart
         after = wp.where(close, 1, 0)
         if held_apart:
-            after = 3  # a pair in a stiff bond, which may part at the first check after the bond broke
+            after = 3  # state of a pair in a stiff bond; it may part at the first check after the bond broke
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs

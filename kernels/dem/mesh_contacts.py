@@ -32,7 +32,7 @@ from .wear import wear_functions
 
 MERGE_ANGLE = 30.0  # angle between the normals of two mesh contacts below which they count as one [degrees]
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-2  # tolerance of hiding, in sphere radii: hidden points may lie this far ahead
+BEHIND = 2.0e-2  # largest distance in front of the plane at which a point still counts as hidden [sphere radii]
 MESH_SLOTS = 6  # mesh contact slots of a sphere, after those of planes and pipes; more contacts set OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -55,7 +55,7 @@ def surface_functions(scalar) -> SimpleNamespace:
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
         # Return True if a step along `direction` on the surface comes nearer to the sphere's centre. The tolerance
-        # covers rounding in single precision. A minimum that is reported twice because of it is merged by angle later.
+        # covers rounding in single precision. Minima reported twice because of the tolerance are merged by angle later.
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
@@ -92,19 +92,19 @@ def surface_functions(scalar) -> SimpleNamespace:
             if beyond <= SHARED:
                 row = SHARED - beyond
                 if ring[ring_start[row]] != face - wall.first_face:
-                    return False  # the lowest face reports this edge
+                    return False  # avoid a duplicate: the face with the lowest number reports this edge
                 for k in range(ring_start[row] + 1, ring_start[row + 1]):
                     if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
                         return False
                 return True
             if across[face, edge + 3] < face:
-                return False  # the neighbour reports this edge
+                return False  # avoid a duplicate: the neighbour has a lower number and reports this edge
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
         if lowest != face - wall.first_face:
-            return False  # the lowest face of the ring reports this corner
+            return False  # avoid a duplicate: the lowest face of the ring reports this corner
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):
                 return False

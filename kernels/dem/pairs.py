@@ -212,7 +212,7 @@ def bond_pull_functions(scalar, dissipation: bool):
         bending: t.vec3  # moment of the bond on the first body [N m]
         contact: scalar  # 0 if the bond broke and the spheres do not touch, else 1
         lost: scalar  # energy lost by contact and bond [J]
-        outcome: wp.int32  # 1: the bond holds; negative: how it broke
+        outcome: wp.int32  # 1: the bond holds; negative: code of the failure mode
 
     @wp.func
     def bond_pull(

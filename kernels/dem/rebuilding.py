@@ -21,7 +21,7 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     @wp.kernel(module="unique", enable_backward=False)
     def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
-        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # the host must sort the bodies
+        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # sorting is left to the host
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
         asked[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
 

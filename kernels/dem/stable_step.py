@@ -106,7 +106,7 @@ def noting_functions(scalar):
 
     @wp.func
     def hurry(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
-        # The plain read avoids nearly all atomic operations. The value may be outdated, but it is never too high.
+        # Reading the maximum first avoids nearly all atomic operations. The value may be outdated, but never too high.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 

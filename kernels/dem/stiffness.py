@@ -221,7 +221,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         else:
             # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
             # so that all threads evaluate pairs at the same time.
-            others = lane  # pairs left to other threads before this thread's next pair
+            others = lane  # number of pairs left to other threads before this thread takes its next pair
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)
                 for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):

@@ -65,7 +65,7 @@ def scene_struct(scalar):
         still: wp.int32  # 1: planes and pipes never move
         held: wp.int32  # 1: walls with prescribed motion are held at rest for now
         materials: wp.int32  # number of materials; contact parameters form a square table over pairs of materials
-        laws: wp.int32  # first row of the scene in that contact parameter table
+        laws: wp.int32  # first row of the scene in the table of contact parameters
         bonds: wp.int32
         groups: wp.int32
 
@@ -94,7 +94,7 @@ def array_structs(scalar) -> SimpleNamespace:
         group: wp.array(dtype=wp.int32)  # index into the model's groups; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
         mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
         position: wp.array(dtype=t.vec3)  # position of the centroid [m]
         rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
         velocity: wp.array(dtype=t.vec3)  # velocity of the centroid in the middle of the last step [m/s]
@@ -114,7 +114,7 @@ def array_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
-        clear: wp.array(dtype=t.vec4)  # last measured clearance from fixed walls, and where it was measured [m]
+        clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and clearance from them [m]
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
         touching: wp.array(dtype=wp.int32)  # bit mask of the first list entries that touched in the last step
@@ -189,7 +189,7 @@ def links_struct(scalar):
     class Links:
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
-        touched: wp.array(dtype=wp.int32)  # 0: apart, 1: touching, 2: parted, with a loss to count, 3: stiff bond
+        touched: wp.array(dtype=wp.int32)  # state: 0 apart, 1 touching, 2 parted with loss to count, 3 in a stiff bond
         more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
         end: wp.array(dtype=wp.int32)  # per list entry: index p of its link in the scene; for a twin, -1 - p
         # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
@@ -232,14 +232,14 @@ def subcycled_struct(scalar):
         held: Pairs  # history and bond of each pair; copied to the neighbour list at the end of a step
         active: wp.array(dtype=wp.int32)  # 0: the bond is broken and the pair is an ordinary contact again
         lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
-        outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: how it broke in this step
+        outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of the body
         place: wp.array(dtype=wp.int32)  # current row of the body in the batch
         start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
         ref: wp.array(dtype=wp.int32)  # twice the pair's index, plus 1 at the pair's higher end, shape (2 pairs,)
         mass: wp.array(dtype=scalar)  # body mass [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
         position: wp.array(dtype=t.vec3)  # centroid, in the middle of a step like the velocities of all bodies [m]
         rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
