@@ -33,7 +33,7 @@ def bond_kernels(scalar):
         # Arrays of the state, read and written.
         pairs: Pairs,
     ):
-        """Bond all unbonded pairs within the gap; `group` >= 0 restricts this to pairs inside that group.
+        """Bond all pairs within the gap that have no intact bond; `group` >= 0 selects pairs inside that group.
 
         With `healing`, each list entry has its own load row, which is cleared here. Without it, bonds receive their
         load rows later.
