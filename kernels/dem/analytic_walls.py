@@ -335,7 +335,7 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
         # Arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # Rows of this launch, and number of the CPU thread.
+        # Range of rows that this launch processes, and number of the CPU thread.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,

@@ -145,7 +145,7 @@ def clump_kernel(
     def move_clumps(
         # Arrays of the model.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # Rows of this launch, in which 2^lane_bits threads share a body.
+        # Range of rows that this launch processes, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
         # Arrays of the state, read only.
         scenes: Scenes, pairs: Pairs,

@@ -34,7 +34,7 @@ def contact_functions(scalar):
         tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero against a wall
         smaller_radius: scalar  # smaller radius of the two spheres; the sphere's radius against a wall [m]
         length: scalar  # distance of the centres at first contact; the radius against a wall [m]
-        reduced_radius: scalar  # R1 R2 / (R1 + R2); the radius against a wall [m]
+        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); the radius against a wall [m]
         mass: scalar  # reduced mass of the two bodies; the body's own mass against a wall [kg]
 
     @wp.func

@@ -62,7 +62,7 @@ def contact_kernel(
         # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Rows of this launch.
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # Arrays of the state, read only.
@@ -119,7 +119,7 @@ def contact_kernel(
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
                             row = scenes.row[s].laws + material * scenes.row[s].materials
-                            # The current overlap results from the displacement of the previous step.
+                            # dt is the previous step, because the displacement of that step led to the current overlap.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)

@@ -272,7 +272,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
         bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
-        # The current overlap results from the displacement of the previous step.
+        # dt is the previous step, because the displacement of that step led to the current overlap.
         dt = scalar(scenes.clock[s, DT_PREVIOUS])
         spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
         material = read_int(spheres.material, i)

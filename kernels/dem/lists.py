@@ -52,7 +52,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
-        # Rows of this launch.
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # Arrays that are only read.

@@ -307,7 +307,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # Rows of this launch, and number of the CPU thread.
+        # Range of rows that this launch processes, and number of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
         # Arrays of the state, read only.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),

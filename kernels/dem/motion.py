@@ -253,7 +253,7 @@ def sphere_kernel(
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # Rows of this launch.
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # Arrays of the state, read only.

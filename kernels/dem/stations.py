@@ -62,7 +62,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # Scene, and rows of this launch.
+        # Scene, and range of rows that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,

@@ -187,7 +187,7 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
         # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Rows of this launch, and number of the round.
+        # Range of rows that this launch processes, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
@@ -281,7 +281,7 @@ def body_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # Rows of this launch, and number of the round.
+        # Range of rows that this launch processes, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
@@ -365,7 +365,7 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
-        # Rows of this launch.
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # Arrays of the state, read only.

@@ -33,7 +33,7 @@ def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.fl
     each = stroke - ramp
     if done == stops:
         return stops * each + ramped(left, ramp)
-    if left >= stroke:  # constant through the whole pause, to the last bit
+    if left >= stroke:  # the distance is constant through the pause, to the last bit
         return (done + wp.float64(1.0)) * each
     return done * each + ramped(left, ramp) - ramped(left - each, ramp)
 
