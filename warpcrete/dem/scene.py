@@ -31,8 +31,8 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Ratio of the hydrated bonds' modulus to the largest other modulus above which sub-cycling pays off; at 100 it takes as
-long as single steps."""
+"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off; at a ratio
+of 100 it takes as long as single steps."""
 VESSELS = {
     "slump": ("top_diameter", "mould_height"),
     "jring": ("top_diameter", "mould_height", "ring_diameter", "bar_diameter"),
