@@ -42,7 +42,7 @@ SEEN = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "b
 """Arrays of a state that a measurement reads, apart from the forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
-"""Units of the columns of a table of stations. `pressure` is the mean normal stress. `axial_stress` is the normal stress
+"""Units of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the normal stress
 along the pipe, which carries the piston's push. Both are positive in compression. `wall_stress` acts along the wall
 against the flow. `velocity` is the mean velocity of the solids along the pipe; the names of its ring columns end with
 the ring's mean radius in pipe radii."""

@@ -164,7 +164,7 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random fraction of the bonds of kind `old` to kind `new`; return the number of bonds of kind `new`."""
+        """Change a random fraction of the bonds of kind `old` to kind `new`; return the number of bonds of `new`."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
