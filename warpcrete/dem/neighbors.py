@@ -40,7 +40,7 @@ OCTANTS = 8
 KEPT = 32
 """Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64
-"""Value that replaces `KEPT` once some sphere had more neighbours than `KEPT`, but at most this number."""
+"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but no more than this."""
 
 
 @dataclass
@@ -50,32 +50,32 @@ class _Launches:
     centres: Stage
     stretch: Stage
     cells: list[Stage]
-    """Sort the spheres' centres into the cells of the grid."""
+    """Stages that sort the spheres' centres into the cells of the grid."""
     search: list[Stage]
     fill: list[Stage]
-    """Write the neighbours that the search stored into the rows of the lists (GPU only)."""
+    """Stage that writes the neighbours found by the search into the rows of the lists (GPU only)."""
     scan: list[Stage]
-    """Turn the lengths of the rows into their starts by a prefix sum."""
+    """Stages that turn the lengths of the rows into their starts by a prefix sum."""
     starts: Stage
     transfer: list[Stage]
     drift: Stage
     clear_stale: Stage
     links: list[Stage] = field(default_factory=list)
-    """Clear, count and fill the links, which are the pairs as a GPU evaluates them (GPU only)."""
+    """Stages that clear, count and fill the links, which are the pairs as a GPU evaluates them (GPU only)."""
     near: list[Stage] = field(default_factory=list)
-    """Select the near links, which are the links that may touch within the next steps (GPU only)."""
+    """Stages that select the near links, whose spheres may touch within the next steps (GPU only)."""
     graphs: dict[str, Any] = field(default_factory=dict)
     """CUDA graphs of parts of the rebuild, by the name of the method that launches the part."""
     ran: set[str] = field(default_factory=set)
     """Names of the parts that have been launched at least once, so that their kernels are loaded."""
     count_faces: list[Stage] = field(default_factory=list)
-    """Count the triangles within reach of each sphere."""
+    """Stages that count the triangles within reach of each sphere."""
     fill_faces: list[Stage] = field(default_factory=list)
-    """Compute the starts of the rows of mesh candidates and fill the rows."""
+    """Stages that compute where the rows of mesh candidates start, and fill the rows."""
 
 
 class NeighborLists:
-    """Builds the neighbour lists and mesh candidates of all scenes of a batch that are flagged as stale.
+    """Builder of the neighbour lists and mesh candidates of those scenes of a batch that are flagged as stale.
 
     A list holds the pairs within a skin [m] of each other. It stays complete until some sphere has moved by half
     the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
@@ -107,7 +107,7 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
         self._boxes = zeros((batch.threads, 2), t.vec3)
-        # The last element receives the length of the longest row that did not fit into `_finds`.
+        # The last element of `_total` receives the length of the longest row that did not fit into `_finds`.
         self._total, self._face_total = zeros(scenes + 1), zeros(scenes + 1)
         self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = zeros(n), zeros(n)
@@ -141,7 +141,7 @@ class NeighborLists:
             b.device_changed()
             return
         stale = flags[:, int(STALE)] != 0
-        # Sort at fixed step counts. Rebuilds in between may come at any time, and must not change the results.
+        # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
         b.ahead.built(flags)
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
@@ -167,7 +167,7 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # The reservation moved the rows of the scenes within the pair arrays.
+            # The larger arrays hold the scenes' rows at other places, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
             launches = self._launches(sort)
         self._entries[stale] = wanted[stale]

@@ -32,11 +32,11 @@ START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure
-TRANSIENT = 0.005  # pressure over contact modulus that overlapping aggregates may cause until they have separated
-CLOSE_FRACTION = 0.75  # solid fraction above that of any packing of these shapes at pressures of kilopascals
+TRANSIENT = 0.005  # pressure over contact modulus that sown aggregates may cause before they have moved apart
+CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches under kilopascals
 PATIENCE = 45  # evaluations in a row with the pressure off on the same side before sizes change faster
 MOST_GAIN = 16.0  # largest factor by which size changes are sped up
-NEAR = 0.15  # relative error of the pressure at which relaxation may end after RELAX_STEPS; else it goes on as long
+NEAR = 0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
 MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
 
 

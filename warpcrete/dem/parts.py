@@ -123,7 +123,7 @@ class Course:
     inserts: tuple[Insert, ...] = ()
     """Stretches of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Circles about the axis that lie inside the bore, if some stretches have meshes as bores."""
+    """Radii of circles about the axis that fit into the bore; None if no stretch has a mesh as its bore."""
 
     @property
     def narrowest(self) -> float:
@@ -145,7 +145,7 @@ class Course:
 def course_of(given: PartElements) -> Course:
     """Return axis and bores of a part or of a line, with the piston's run-up in front.
 
-    Raises :class:`WarpcreteError` where parameters contradict each other.
+    Raises :class:`SceneError` if parameters contradict each other.
     """
     line = None if given.line is None else read_line(given.line)
     if line is not None:

@@ -102,7 +102,7 @@ def plot_stations(run: ElementRun) -> Any:
 
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """Return the figure for the run folder: stations along the pipe, strokes or pressure; None if there are none."""
+    """Return the figure for the run folder: stations along the pipe, strokes or pressure; else None."""
     if "stations" in run.tables:
         return plot_stations(run)
     if "pressure" not in run.series:

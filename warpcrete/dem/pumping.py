@@ -390,7 +390,7 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Arc length at which the plug ends at the start, or the concrete if there is no plug of balls [m]."""
+        """Initial arc length of the front [m]: the end of the plug of balls, or of the concrete without such a plug."""
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
@@ -411,7 +411,7 @@ def stiffness_of(given: Any) -> float:
 
 
 def asked_of(given: IndexParameters) -> dict[str, Any]:
-    """Return the fields of a :class:`Scene` that switch on wear, blockage and segregation measurements."""
+    """Return the fields of a :class:`Scene` that configure wear, blockage and segregation measurements."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
     return {
         "wear": wear,

@@ -28,8 +28,8 @@ from .worn import report as report_wear
 WINDOW = 0.2
 """Final fraction of the travel over which the pressure at the end is averaged."""
 LEVEL = 0.1
-"""Relative change of the pressure that a plateau allows: between the means over the final window and over an equal
-window before it, and of a straight line through the final window."""
+"""Largest relative change of the pressure on a plateau. It applies to the difference between the means over the final
+window and over an equal window before it, and to the rise of a straight line through the final window."""
 NOISE = 2.0
 """Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
 fall by chance in a short window."""

@@ -18,9 +18,9 @@ from .state import State
 PART = 0.5
 """Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
 PATIENCE = 20
-"""Number of launches with so few spheres left before regrouping, which does not pay for scenes that end soon."""
+"""Number of launches with few running spheres before a batch is regrouped; scenes that end soon do not repay it."""
 ROOM = 0.5
-"""Share of the free memory that the new batch may take, since the old batch stays in memory and others grow."""
+"""Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "foreseen_speed", "held",
@@ -29,7 +29,7 @@ SETTINGS = (
 
 
 class Regrouping:
-    """Decides after each launch of a GPU's batch whether its running scenes should move to a smaller batch."""
+    """Decision after each launch of a GPU's batch whether its running scenes move to a smaller batch."""
 
     def __init__(self) -> None:
         self._few = 0

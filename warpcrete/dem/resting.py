@@ -36,7 +36,7 @@ class Structure:
     """
 
     def __init__(self, batch: Any) -> None:
-        """Take a :class:`Batch` of scenes that all have a growing layer."""
+        """Set up the layers of a :class:`Batch` of scenes that all have a growing layer."""
         self.batch = batch
         batch.wall_parameters = wp.clone(batch.wall_parameters)  # a model's own parameters must never change
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]

@@ -97,5 +97,5 @@ def state_hash(state: State) -> str:
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
     for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
         digest.update(getattr(state.walls, name).numpy().tobytes())
-    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # time and step sizes
+    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # simulated time, next and last step size
     return digest.hexdigest()

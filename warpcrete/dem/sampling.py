@@ -52,7 +52,7 @@ WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
 """Units of wall columns, whose names begin with a wall's name and end in an axis."""
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
-"""Columns of recoverable energies."""
+"""Columns of energies that are stored and can be recovered, unlike dissipated energy."""
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
@@ -72,7 +72,7 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
 
 
 class Sampler:
-    """Measures the rows of the series. Forces on walls are means since the previous row."""
+    """Measurement of the rows of the series; forces on walls are means since the previous row."""
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state

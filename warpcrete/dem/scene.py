@@ -250,7 +250,7 @@ class PressureProbe:
 
 @dataclass(frozen=True, kw_only=True)
 class PipeUnit:
-    """A pipe through which a piston pushes concrete, as measurements, checks and figures need it."""
+    """Description of a pipe, through which a piston pushes concrete, for measurements, checks and figures."""
 
     name: str
     axis: Axis
@@ -281,7 +281,7 @@ class PipeUnit:
 
 @dataclass(frozen=True, kw_only=True)
 class Vessel:
-    """A vessel in which fresh concrete is tested, as measurements and checks need it."""
+    """Description of a vessel, in which fresh concrete is tested, for measurements and checks."""
 
     test: str
     """Name of the test, a key of VESSELS."""

@@ -168,7 +168,7 @@ class _Drive:
 
     @staticmethod
     def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
-        """Return what a GPU launches by itself between steps: list rebuilds, and rebuilds with step size estimates.
+        """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
 
         Only a batch of one scene can rebuild its lists on the device.
         """

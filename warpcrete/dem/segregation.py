@@ -42,7 +42,7 @@ def ball_points(count: int = POINTS) -> np.ndarray:
 
 
 def stones_of(state: State) -> Stones:
-    """Return the spheres of the aggregate by permanent number; a clump's volume is divided in proportion to theirs."""
+    """Return the spheres of the aggregate by permanent number, and divide each clump's volume among its spheres."""
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]
     order, body = (array[state.bodies.group.numpy()[body] == 0] for array in (order, body))

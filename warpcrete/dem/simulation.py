@@ -146,7 +146,7 @@ class ElementSimulation(Simulation):
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
-            # Bonds that healed during settling carry its loads, so all bonds of the scene start anew at t = 0.
+            # Bonds that formed during settling carry loads from it, so remove all of them and bond anew at t = 0.
             bonds = self.state.pairs.bond.numpy()
             bonds[bond_kinds(bonds) <= 1] = 0
             self.state.pairs.bond.assign(bonds)
@@ -156,7 +156,7 @@ class ElementSimulation(Simulation):
 
     @contextmanager
     def _walls_held(self) -> Iterator[None]:
-        """Hold prescribed walls still inside the context: their motion starts at t = 0."""
+        """Hold prescribed walls still within this context manager, because their motion starts at t = 0."""
         self.stepper.change(held=1)
         try:
             yield

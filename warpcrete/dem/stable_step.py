@@ -28,8 +28,8 @@ class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
     It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`. An automatic
-    step is also short enough that impacts keep their energy to about 1 %, and that fast bodies move by no more than a
-    fraction of their radius per step.
+    step is also short enough that impacts with little dissipation keep their energy to about 1 %, and that fast bodies
+    move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:

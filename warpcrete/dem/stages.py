@@ -27,12 +27,12 @@ MANY = 200_000
 CHOSEN = 20
 """Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
 CLOSE_LINKS = 0.5
-"""Number of threads per link in the link kernel. If more links are near than threads, a thread takes several links."""
+"""Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
-"""Largest number of threads that such sharing may create. More would not hide more memory latency: a hundred thousand
-spheres with eight threads each took a tenth longer."""
+"""Largest number of GPU threads for walls when threads share a sphere. More threads would not hide more memory latency:
+a hundred thousand spheres with eight threads each took a tenth longer."""
 LANE_BITS = 2
 """Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if a link has many values to read."""
 
@@ -99,7 +99,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # at least one if there is a pair
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # rounded up to whole warps
     stages += [
         b.stage(kernel, threads, threads=threads),
         _motion(b, 0, b.body_count),
@@ -117,7 +117,7 @@ def _full_step(batch: Batch) -> list[Stage]:
 def wall_lane_bits(batch: Batch) -> int:
     """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # one thread handles up to two walls without loss
+    if warp_width(batch.device) == 1 or most <= 2:  # a single thread evaluates two walls as fast
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))

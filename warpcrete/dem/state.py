@@ -213,7 +213,7 @@ class State:
         return self._scratch[name]
 
     def taken_into(self, batch: Any, index: int) -> None:
-        """Note that this state is scene `index` of a batch."""
+        """Record that this state is scene `index` of `batch`."""
         self.batch, self.index = batch, index
         self._launches = -1, {}
 
@@ -297,7 +297,7 @@ def pair_bytes(model: Model) -> dict[str, int]:
     """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    # Without healing only bonds have load rows, and these do not belong to list entries; see `bonding`.
+    # Without healing, only existing bonds have a load, and list entries without a bond need none; see `bonding`.
     used |= {"bond": f.bonds, "load": f.healing}
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}

@@ -32,7 +32,7 @@ RINGS = 5
 FRONT = 0.98
 """Fraction of the solid volume that lies behind the front; beyond the front the concrete does not fill the pipe."""
 FARTHEST = 8
-"""The front is searched among the farthest bodies only, one in this number."""
+"""Ratio of all bodies to the farthest bodies, among which the front is searched."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
@@ -57,7 +57,7 @@ class StationLog:
     """Measurements of each sample, shape (slices, COLUMNS); NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure now, with the piston at a travel of `travel` [m]."""
+        """Measure all slices now, with the piston at a travel of `travel` [m], and append the sample."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
@@ -148,7 +148,7 @@ def stresses_along(
 
 
 def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices between a piston at `travel` [m] and the front of volumes at arc lengths `s` [m]."""
+    """Return a mask of the slices between a piston at `travel` [m] and the front of bodies at arc lengths `s` [m]."""
     whole = float(volume.sum())
     if whole == 0:
         return np.zeros(len(edges) - 1, bool)
@@ -156,7 +156,7 @@ def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length up to which the bodies have a volume of `behind`, counted from the rear [m]."""
+    """Return the arc length [m] up to which the bodies have a total volume of `behind`."""
     # Sort only the farthest bodies: sorting all of them takes four times as long as this whole function.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
@@ -174,9 +174,9 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
     straight stretches before and behind the middle, by line fits that leave out one radius at their ends. In addition,
     `middle_loss` [Pa] is the axial stress lost over the middle between these lines, and `middle_ratio` is that loss
     divided by the loss in a straight pipe of the same length. Friction rises with pressure, so the straight pipe's
-    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if it is proportional to
-    pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results without enough full
-    slices are missing.
+    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if friction rises linearly
+    with pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results for which too few
+    slices are full are left out.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -356,7 +356,7 @@ def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.nd
 
 
 def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield which spans reach into a slice and the slice's index: first every span's first slice, then the next."""
+    """Yield arrays of overlapping spans and slices: first each span with its first slice, then with its second, etc."""
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):
         slices = first + step

@@ -35,7 +35,7 @@ from .watch import failed_body
 # 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW = 50_000
-MESH_SKIN = 4  # times the skin
+MESH_SKIN = 4  # skin of mesh candidates as a multiple of the skin of pairs
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
 fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with 16,000 than with 4000, and as long as
@@ -164,7 +164,7 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random fraction of the bonds of kind `old` to kind `new`; return the number of bonds of `new`."""
+        """Change a random fraction of the bonds of kind `old` to kind `new`; return how many have kind `new`."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -185,7 +185,7 @@ class Stepper:
         return begun
 
     def wear_from(self, begun: float) -> None:
-        """Set the layer to its gain at rest, minus the wear by slip since a travel of `begun` [m]."""
+        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `begun` [m]."""
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, begun)
 
@@ -317,7 +317,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether the scene, which counts its steps, will estimate the stable step before the next ones."""
+        """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
         self._set_step()
         return self._counting and self._since_estimate() >= self.time_step.interval
 

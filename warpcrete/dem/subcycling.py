@@ -28,11 +28,11 @@ MARGIN = 1.1
 ROUND_BLOCK = 128
 """Threads per block of the GPU kernel that takes all rounds of a step."""
 RESIDENT = 2
-"""Number of such blocks that always fit on one multiprocessor together, whatever registers they need."""
+"""Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
 """Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
 OF_ENDS = ("force", "torque")
-"""Arrays of the ends of sub-cycled pairs on which the next step depends."""
+"""Arrays with a row for each end of a sub-cycled pair, on which the next step depends."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,

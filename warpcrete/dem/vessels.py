@@ -24,12 +24,12 @@ from .sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 STIFF = {"mortar": 1e6, "plastic": 1e6}
-"""Modulus of contact laws that need another than Zhan's 1e5 Pa [Pa]: mortar needs cores stiffer than its shells."""
+"""Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
 DENSE = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction of laws that need another than LOOSE: the shells of mortar must overlap on all sides."""
+"""Solid fraction of packings by law, where it is not LOOSE: the shells of mortar must overlap on all sides."""
 LOOSE = 0.6
 RUBBING = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Friction of laws that need another than Zhan's 0.05: spheres that resist rolling must not slide instead."""
+"""Friction coefficient by law, where it is not Zhan's 0.05: spheres that resist rolling must not slide instead."""
 CONTACTS = 6.9
 """Touching neighbours of a sphere in a packing of mortar spheres, shells included; measured 6.7 to 6.9."""
 
@@ -144,7 +144,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Grip of the mould by law, where it is not 0. Without grip, mortar would fall out of a funnel within two seconds
+    """Default grip of the mould by law, where it is not 0. Without grip, mortar falls out of a funnel in two seconds
     whatever its viscosity."""
 
     def __post_init__(self) -> None:
@@ -176,7 +176,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def holding(self) -> float:
-        """Grip of the mould; by default no more than the plate's."""
+        """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
         if self.mould_grip is not None:
             return self.mould_grip
         return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)

@@ -19,7 +19,7 @@ COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an ov
 
 
 class Watch:
-    """Checks every row of the series against the scene's limits; the device checks speeds in every step.
+    """Check of every row of the series against the scene's limits; the device checks speeds in every step.
 
     The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
     """
@@ -35,7 +35,7 @@ class Watch:
         self.scale = 0.0  # largest energy in play so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """Return the values with which rows are compared."""
+        """Return the reference energies with which later rows are compared."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:

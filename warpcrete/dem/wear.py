@@ -64,7 +64,7 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Patches of a pipe: stations along the pipe times places around it, in rows of stations.
+    """Patches of a pipe: stations along the pipe times places around it, numbered station by station.
 
     The angle counts from the outside of the pipe's bends (in their plane, away from the centre), or from a normal of a
     straight pipe's axis.

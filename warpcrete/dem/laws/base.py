@@ -19,7 +19,7 @@ RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "pla
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Rule for a field that has another name on the device, where its value is `of` the field's value."""
+    """Rule for a field that has another `name` on the device, where the function `of` converts its value."""
 
     name: str
     of: Callable[[Any], Any] = lambda value: value
@@ -68,11 +68,11 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def has_history(self) -> bool:
-        """True if a contact must remember its shear; otherwise no memory is allocated for that."""
+        """True if contacts must remember their shear; otherwise no memory is allocated for contact history."""
 
     @property
     def has_shear(self) -> bool:
-        """True if a contact can transmit a force in its plane; otherwise the rotation of single spheres is not computed."""
+        """True if a contact transmits shear forces; if none does, the rotation of single spheres is not computed."""
         return self.has_history
 
     @abstractmethod

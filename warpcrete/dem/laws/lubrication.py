@@ -73,7 +73,7 @@ class LubricationLayer(ContactLaw):
         def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
             zero = scalar(0.0)
             n = touch.normal
-            # Evaluate the linear law without shear: a slider that includes the layer's yield stress replaces its slider.
+            # Take only the normal force of the linear law: the slider below adds the layer's yield stress in shear.
             alone, unused, unused_loss = linear_force(p.contact, touch, t.vec3(), zero)
             normal_part = wp.dot(alone, n) * n
             k = linear_stiffness(p.contact, touch)
