@@ -297,7 +297,7 @@ def pair_bytes(model: Model) -> dict[str, int]:
     """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    # Without healing, only existing bonds have a load, and list entries without a bond need none; see `bonding`.
+    # Every list entry has a load row only if bonds heal; otherwise only bonds have one, see `bonding`.
     used |= {"bond": f.bonds, "load": f.healing}
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
