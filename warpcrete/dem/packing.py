@@ -118,7 +118,7 @@ def pack(
 ) -> tuple[BodyTable, PackingReport]:
     """Pack aggregates into their container: sow them small, let them grow without friction, and let them settle.
 
-    Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill asks for a
+    Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
     pressure, a pilot packing in a smaller container finds the solid fraction that belongs to that pressure. The
     packing itself then stops growing where the pressure is met, so all sizes change by a factor near 1, which is
     the report's `size_factor`.
