@@ -1,4 +1,4 @@
-"""Checkpoints: everything that the next step depends on, in one file that is complete or not there."""
+"""Checkpoint files, which hold the complete state of a run; an interrupted write never leaves half a file."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ FORMAT = 7
 
 
 def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
-    """Write a checkpoint of a run of `scene`; an interrupted write leaves the one before.
+    """Write a checkpoint of a run of `scene`; an interrupted write leaves the previous checkpoint intact.
 
-    `contents` holds numbers, text, arrays and dictionaries of them.
+    `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
+    digest of its contents.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {
@@ -44,9 +45,10 @@ def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[st
 
 
 def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
-    """What :func:`write` was given, if it belongs to the same scene, kind of device, precision and versions.
+    """Return the contents of a checkpoint of the same scene, kind of device, precision and package versions.
 
-    Raises :class:`RunFolderError` with the reason for any other file.
+    Raises :class:`RunFolderError` with the reason if the file is missing, damaged or belongs to another run. A
+    different processor only causes a warning, because results may then differ in the last bits.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -87,7 +89,7 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
 
 
 def remove(path: Path) -> None:
-    """Remove a checkpoint, and what an interruption left of writing one."""
+    """Remove a checkpoint, and the partial file that an interrupted write may have left."""
     path.unlink(missing_ok=True)
     partial_of(path).unlink(missing_ok=True)
 
@@ -109,7 +111,7 @@ def _digest(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
-    """JSON of `value`; arrays in it go to `arrays` and leave their name."""
+    """Return `value` as JSON data; move arrays to `arrays` and leave a reference by name in their place."""
     if isinstance(value, np.ndarray):
         arrays[name] = value
         return {"array": name}
