@@ -14,7 +14,7 @@ import numpy as np
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
-"""Maximum number of characters of any other part of a message."""
+"""Maximum number of characters of any part of a message that is not a quoted value or name."""
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 FEW = 12

@@ -16,7 +16,7 @@ from .files import LOCK, cannot_write, check_new, is_empty, remove_partial
 fcntl: Any
 try:
     import fcntl
-except ImportError:  # systems other than POSIX: folders are not locked there
+except ImportError:  # folders are not locked on systems other than POSIX
     fcntl = None
 
 GRACE = 2.0
@@ -34,7 +34,7 @@ class Hold:
         """Lock the folder; raises :class:`RunFolderError` with the owner's name if another process holds the lock."""
         self.folder = folder
         self.made: list[Path] = []
-        """Folders that were created on the way to this folder, the outermost first."""
+        """Folders that were created for this lock: new parents, the outermost first, and the locked folder itself."""
         self._path = folder / LOCK
         self._file = self._locked()
         os.ftruncate(self._file, 0)
@@ -70,7 +70,7 @@ class Hold:
             self._file = -1
 
     def remove(self) -> None:
-        """Release the folder and remove it if it is empty, with the empty parents that were created for it."""
+        """Release the folder, then remove those folders that were created for it and are empty."""
         self.release()
         for path in reversed(self.made):
             with suppress(OSError):
@@ -94,7 +94,7 @@ def _lock(file: int) -> bool:
 
 
 def _is_at(file: int, path: Path) -> bool:
-    """Return whether an open lock file is still the one at `path`, because its last owner may have removed it."""
+    """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
     try:
         there = path.stat()
     except OSError:
