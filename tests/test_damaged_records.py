@@ -11,6 +11,7 @@ from warpcrete.core.errors import PlausibilityWarning
 from warpcrete.core.files import RECORD_KINDS, read_record
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
+from warpcrete.studies.study import load_study
 
 
 @pytest.mark.parametrize("name", RECORD_KINDS)
@@ -39,6 +40,15 @@ def test_every_command_checks_its_record(tmp_path, words, file):
         (tmp_path / file).write_text(json.dumps({"scene": "slump", "parameters": {}, "device": "cpu"} | {name: value}))
         done = CliRunner().invoke(cli, [*words, str(tmp_path / file if words == ["run"] else tmp_path)])
         assert isinstance(done.exception, RunFolderError), (name, done.exception)
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "/tmp/elsewhere", "..", ""])
+def test_cases_of_a_record_lie_inside_its_folder(tmp_path, name):
+    case = {"name": name, "varied": {}, "parameters": {}}
+    record = {"scene": "slump", "command": {}, "device": "cpu", "precision": "float32", "cases": [case]}
+    (tmp_path / "study.json").write_text(json.dumps(record))
+    with pytest.raises(RunFolderError, match="is no name of a folder"):
+        load_study(tmp_path)
 
 
 def test_names_in_files_hold_nothing_that_a_terminal_obeys():

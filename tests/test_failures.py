@@ -1,6 +1,7 @@
 """What goes wrong outside the physics: failed checks, disks, folders, processes, a user's files; and what is said."""
 
 import dataclasses
+import errno
 import json
 import os
 import subprocess
@@ -16,7 +17,7 @@ from pumping import alive, command, small_options, wait_until
 import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
-from warpcrete.core.errors import RunFolderError, SceneError
+from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
 from warpcrete.core.fingerprints import fingerprint
 from warpcrete.core.run_loop import Recorder
 from warpcrete.geometry.meshes import enclosed
@@ -26,6 +27,8 @@ from warpcrete.record.run_folder import TableRecorder
 TINY = dict(
     diameter=0.06, length=0.06, travel=0.004, ramp=0.002, settle=0.0, size_min=8e-3, size_max=12e-3, plug="plate"
 )
+
+SHORT_FLOW = dict(diameter=0.1, length=0.1, spacing=10e-3)
 
 
 def tiny_options(**changes):
@@ -346,3 +349,50 @@ def test_a_wall_with_a_crack_is_refused_by_its_name(tmp_path):
     mesh.export(path)
     with pytest.raises(SceneError, match=r"crack\.stl.* is not closed: 3 border edges lie between its ends"):
         scenes.pipe(wall=str(path), length=0.3, travel=0.01, ramp=0.005)
+
+
+class FramesOnDisk(Recorder):
+    """Recorder that holds frames in memory until a checkpoint; `disk` stands for the disk."""
+
+    expendable = True
+
+    def __init__(self, disk: list[float], full_at_write: int | None = None) -> None:
+        self.disk, self.full_at_write, self.memory, self.writes = disk, full_at_write, [], 0
+
+    def resume(self, simulation, state):
+        del self.disk[state["frames"] :]
+
+    def frame(self, simulation):
+        self.memory.append(simulation.stepper.time)
+
+    def checkpoint(self, simulation):
+        return {"frames": len(self.disk) + len(self.memory)}
+
+    def write(self, simulation):
+        self.writes += 1
+        if self.full_at_write is not None and self.writes >= self.full_at_write:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.disk += self.memory
+        self.memory = []
+
+    def finish(self, simulation, run):
+        self.write(simulation)
+
+
+@pytest.mark.parametrize("full_at_write", [1, 3, 5])  # four checkpoints, then the end of the run
+def test_a_recording_that_met_a_full_disk_has_every_frame_when_the_run_goes_on(tmp_path, full_at_write):
+    def simulation(*recorders):
+        scene = scenes.tube(**SHORT_FLOW, duration=0.01, sample_interval=0.002)
+        return Simulation(scene, device="cpu", recorders=recorders, frame_interval=0.002,
+                          checkpoint_path=tmp_path / "checkpoint.npz", checkpoint_every=0.0)  # fmt: skip
+
+    uncut: list[float] = []
+    assert simulation(FramesOnDisk(uncut)).run().finished and len(uncut) == 6
+    disk: list[float] = []
+    with pytest.raises(DiskFullError):
+        simulation(FramesOnDisk(disk, full_at_write)).run()
+    assert len(disk) < 6
+    again = simulation(FramesOnDisk(disk))
+    again.begin(tmp_path / "checkpoint.npz")
+    assert again.run().finished
+    assert disk == uncut

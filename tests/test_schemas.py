@@ -155,3 +155,14 @@ def test_the_command_prints_a_schema_and_its_path():
         assert run(cli, ["schema", kind]).output == Path(path).read_text(encoding="utf-8")
     assert "did you mean 'line'?" in str(run(cli, ["schema", "lines"]).exception)
     assert run(cli, ["schema"]).exit_code == 2
+
+
+def test_parameters_of_a_contact_law_are_allowed_beside_its_name():
+    target = {"scene": "pipe", "quantity": "pressure", "value": 1e4, "uncertainty": "5%"}
+    task = {
+        "vary": {"friction": [0.1, 0.5]},
+        "targets": [target | {"parameters": {"contact": "laws:Own", "contact_glue": 3.0}}],
+    }
+    assert errors("targets", task) == []
+    task["targets"][0]["parameters"] = {"contcat_glue": 3.0}
+    assert errors("targets", task)

@@ -11,7 +11,7 @@ from warpcrete import RunFolderError, SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import LONGEST_VALUE, refuse
 from warpcrete.core.files import read_json
-from warpcrete.core.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows, read_text
+from warpcrete.core.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
 from warpcrete.core.yaml_files import yaml_text
 from warpcrete.geometry.lines import read_line
 from warpcrete.mix.mix import read_mix
@@ -130,7 +130,7 @@ def special_files(folder):
 
 def test_only_regular_files_of_a_sensible_size_are_opened(tmp_path):
     for name, says in special_files(tmp_path).items():
-        for read in (read_text, read_mapping, read_rows, check_file):
+        for read in (read_mapping, read_rows, check_file):
             with pytest.raises(SceneError) as refused:
                 read(Path(name), "it")
             assert says in str(refused.value) and len(str(refused.value)) < 3 * LONGEST_VALUE

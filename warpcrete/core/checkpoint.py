@@ -7,24 +7,27 @@ import json
 import os
 import warnings
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import RunFolderError
-from .files import partial_of, whole_file
+from .files import cannot_write, partial_of
 from .fingerprints import fingerprint
 from .provenance import processor, versions
 
 FORMAT = 7
 
 
-def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
-    """Write a checkpoint of a run of `scene`; an interrupted write leaves the previous checkpoint intact.
+def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
+    """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
-    digest of its contents.
+    digest of its contents. The previous checkpoint stays at `path` until `commit`. If a recorder fails to write its
+    part, the run can therefore go on from a state that all recorders have on disk. Raises :class:`RunFolderError` if
+    the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {
@@ -38,10 +41,33 @@ def write(path: Path, scene: Any, device: Any, precision: str, contents: dict[st
     }
     arrays["text"] = np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
     arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
-    with whole_file(path) as partial, partial.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-        file.flush()
-        os.fsync(file.fileno())
+    try:
+        with partial_of(path).open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException as error:
+        discard(path)
+        if isinstance(error, OSError):
+            raise cannot_write(path, error) from error
+        raise
+
+
+def commit(path: Path) -> None:
+    """Replace the checkpoint at `path` by the partial file that :func:`write_beside` wrote.
+
+    Raises :class:`RunFolderError` if the system refuses this.
+    """
+    try:
+        partial_of(path).replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def discard(path: Path) -> None:
+    """Remove the partial file that :func:`write_beside` wrote; keep the checkpoint at `path`."""
+    with suppress(OSError):
+        partial_of(path).unlink(missing_ok=True)
 
 
 def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
@@ -91,7 +117,7 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
 def remove(path: Path) -> None:
     """Remove a checkpoint, and the partial file that an interrupted write may have left."""
     path.unlink(missing_ok=True)
-    partial_of(path).unlink(missing_ok=True)
+    discard(path)
 
 
 def _kind(device: Any) -> str:

@@ -99,10 +99,14 @@ def quoted(value: Any) -> str:
 
 
 def warn_in_one_line() -> None:
-    """Print the warnings of this process to stderr as single lines, without their place in the code."""
+    """Print each different warning of this process once, as one line on stderr without its place in the code."""
+    shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        print(f"warning: {one_line(str(message))}", file=sys.stderr)
+        text = one_line(str(message))
+        if text not in shown:
+            print(f"warning: {text}", file=sys.stderr)
+        shown.add(text)
 
     warnings.showwarning = show
 

@@ -307,9 +307,14 @@ class SceneFunction(Generic[P, S]):
                 values, lost = self._written(parameters)
             object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
             return scene
-        except (OverflowError, ZeroDivisionError, MemoryError) as error:
+        except MemoryError as error:
+            raise SceneError(
+                f"scene {self.name}: needs more memory than there is; make it smaller, or its bodies or cells larger"
+            ) from error
+        except (OverflowError, ZeroDivisionError) as error:
             numbers = {name: value for name, value in values.items()
-                       if isinstance(value, float) and value and math.isfinite(value)}  # fmt: skip
+                       if (isinstance(value, float) and value and math.isfinite(value))
+                       or (isinstance(value, int) and 0 < value.bit_length() < 1000)}  # fmt: skip
             if not numbers:
                 raise
             name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))

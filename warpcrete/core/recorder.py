@@ -49,7 +49,10 @@ class Recorder:
         """A picture is due."""
 
     def checkpoint(self, simulation: Any) -> dict[str, Any]:
-        """Return what `resume` will need to go on from this moment; `write` follows when the state is on disk."""
+        """Return what `resume` will need to go on from this moment.
+
+        `write` follows; the checkpoint with this state takes effect when every recorder has written.
+        """
         return {}
 
     def write(self, simulation: Any) -> None:

@@ -41,20 +41,14 @@ class Recording:
         for recorder in list(self.active):
             self._call(recorder, method, *arguments)
 
-    def states(self) -> tuple[dict[str, Any], list[Exception]]:
-        """Return what recorders need to go on from this moment, by their kind, and what full disks kept from them.
+    def states(self) -> dict[str, Any]:
+        """Return what each recorder needs to go on from this moment, by the kind of recorder.
 
-        One that cannot tell, or was left out, goes on from where it was at an earlier checkpoint.
+        A recorder that was left out goes on from its state at an earlier checkpoint.
         """
-        full: list[Exception] = []
         for recorder in list(self.active):
-            try:
-                self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
-            except Exception as error:
-                if not recorder.expendable:
-                    raise
-                full.append(error)
-        return {kind: state for kind, state in self._states.items() if state is not None}, full
+            self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
+        return {kind: state for kind, state in self._states.items() if state is not None}
 
     def _call(self, recorder: Recorder, method: str, *arguments: Any) -> Any:
         try:

@@ -121,7 +121,9 @@ class Simulation:
             ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
         )
         self._spent: dict[str, float] = {}
-        self._ran = self._over = False
+        self._ran = False
+        self.over = False
+        """True when the last step has been taken: only recordings may still have to be completed."""
         self._saved = wall_clock.perf_counter()  # when the last checkpoint was written or read
         self.goes_on = False
         """The run goes on from a checkpoint, in the folder that is there."""
@@ -220,26 +222,35 @@ class Simulation:
     # Checkpoints.
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint of the state as it is now, then what recorders have so far."""
-        self._save_state(path)
-        if self._ran:
-            self._recording.call("write")
+        """Write a checkpoint of the state as it is now; it takes effect once recorders have written their part.
 
-    def _save_state(self, path: Path) -> None:
+        A failure leaves the previous checkpoint, from which every recorder can go on. Raises :class:`RunFolderError`.
+        """
+        try:
+            self._write_state(path)
+            if self._ran:
+                self._recording.call("write")
+            self._commit_state(path)
+        except BaseException:
+            checkpoint.discard(path)
+            raise
+
+    def _write_state(self, path: Path) -> None:
+        """Write the state beside the checkpoint at `path`."""
         contents = self.state_dict()
-        recorders, full = self._recording.states() if self._ran else ({}, [])
         contents["run"] = {
-            "recorders": recorders,
+            "recorders": self._recording.states() if self._ran else {},
             "samples": self._samples,
             "next_frame": self.frames.next,
             "spent": self._spent | {"running": self._running()},
-            "over": self._over,
+            "over": self.over,
         }
-        checkpoint.write(path, self.scene, self.device, self.precision, contents)
+        checkpoint.write_beside(path, self.scene, self.device, self.precision, contents)
+
+    def _commit_state(self, path: Path) -> None:
+        checkpoint.commit(path)
         self._kept = self.stepper.time if self._ran else 0.0
         self._saved = wall_clock.perf_counter()
-        if full:
-            raise full[0]
 
     def resume(self, path: Path) -> None:
         """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
@@ -256,7 +267,7 @@ class Simulation:
         self._samples, self.frames.next = run["samples"], run["next_frame"]
         self._spent = run["spent"]
         self._ran_before = self._spent["running"]
-        self._over = run["over"]
+        self.over = run["over"]
         self.goes_on, self._saved = True, wall_clock.perf_counter()
         return contents
 
@@ -343,17 +354,27 @@ class Simulation:
         return run
 
     def _end(self, finished: bool, interrupted: bool) -> Run:
-        """Put everything on disk, what matters most first; the checkpoint goes when nothing else is missing."""
+        """Put everything on disk, what matters most first; the checkpoint goes when nothing else is missing.
+
+        The last state takes effect only when all recorders have finished, and then spares a run that is killed while
+        recordings are joined its last steps. Otherwise the run goes on from the checkpoint before, and loses nothing.
+        """
         recording, path = self._recording, self.checkpoint_path
+        written = False
         if finished and path is not None:
-            self._over = True
-            # Without it, a run that is killed from here on repeats what came after the last checkpoint.
+            self.over = True
             with suppress(OSError, RunFolderError):
-                self._save_state(path)
+                self._write_state(path)
+                written = True
         run = self.result(finished)
         run.interrupted = interrupted
         run.finished = run.result["finished"] = run.finished and not recording.failures
         recording.finish(run)
+        if written and path is not None:
+            if run.finished:
+                with suppress(OSError, RunFolderError):
+                    self._commit_state(path)
+            checkpoint.discard(path)
         if run.finished:
             recording.tidy(run)
         if finished and not run.finished and self._kept is None:
@@ -367,7 +388,7 @@ class Simulation:
 
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
-        if self._over:
+        if self.over:
             self.ended_early()  # which says how it ended
             return True
         if not self.rows:

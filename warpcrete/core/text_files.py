@@ -65,16 +65,6 @@ def name_of(path: Path | str) -> str:
         return name
 
 
-def read_text(path: Path, field: str, most: int = MOST_SETTINGS) -> str:
-    """Return the text of a UTF-8 file, or raise :class:`SceneError` for `field`, which named it."""
-    try:
-        text = _text(path, most)
-    except Unreadable as error:
-        refuse(field, str(path), error.reason, error.hint)
-    note_file(path)
-    return text
-
-
 def read_mapping(path: Path, field: str) -> dict[str, Any]:
     """Return the mapping that a YAML or JSON file holds, or raise :class:`SceneError` for `field`, which named it."""
     try:
@@ -94,9 +84,11 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
     Raises :class:`SceneError` for `field` if rows and header differ in length, or if a column appears twice.
     """
     try:
-        return _rows(_text(path, MOST_TEXT))
+        rows = _rows(_text(path, MOST_TEXT))
     except Unreadable as error:
         refuse(field, str(path), error.reason, error.hint)
+    note_file(path)
+    return rows
 
 
 def saved_text(path: Path) -> str:

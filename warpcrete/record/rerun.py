@@ -110,6 +110,10 @@ class RerunRecorder(Recorder):
                 return
             for path in self._later_parts(state["parts"]):
                 path.unlink()
+            if not simulation.over:  # otherwise the parts may have been joined already
+                for number in range(1, state["parts"]):
+                    if not self._part(number).is_file():
+                        warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)

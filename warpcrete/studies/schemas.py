@@ -16,7 +16,7 @@ from ..core.amounts import UNITS
 from ..core.concretes import SECTIONS, TEXTS
 from ..core.errors import refuse, suggested
 from ..core.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
-from ..core.parameters import Above, Alias, Field, OneOf, Within, declared_fields
+from ..core.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
 from ..dem.pumping import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
@@ -96,7 +96,7 @@ def targets_schema() -> Schema:
     """Return the schema of a file of targets for a calibration."""
     known = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
     numbers = sorted({n for fields in known.values() for n, f in fields.items() if f.kind in (int, float)} - {"seed"})
-    of_scene = {name: _object(_parameters(fields.values()), f"parameters of scene {name}")
+    of_scene = {name: _object(_parameters(fields.values()), f"parameters of scene {name}") | _own_parameters(fields)
                 for name, fields in known.items()}  # fmt: skip
     quantities = sorted({each.name for method in METHODS for each in method.quantities})
     end = {"type": ["number", "string"]}
@@ -188,6 +188,12 @@ def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
         for name in (field.name, *(alias.name for alias in field.of_kind(Alias))):
             found[name] = of_field(field)
     return found
+
+
+def _own_parameters(fields: Mapping[str, Field]) -> Schema:
+    """Return a schema that allows the parameters of a value that has some of its own, as `contact_stiffness`."""
+    prefixes = [name for name, field in fields.items() if any(field.of_kind(Spread))]
+    return {"patternProperties": {f"^{name}_": {} for name in prefixes}} if prefixes else {}
 
 
 def _part(kind: str) -> Schema:

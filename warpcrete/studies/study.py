@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.by_name import names_from_file
 from ..core.device import find_device
-from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, refuse
+from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, quoted, refuse
 from ..core.files import check_new, is_full, read_record, whole_file, write_json
 from ..core.folders import held, new_folder
 from ..core.html import html_table
@@ -362,6 +362,9 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
     record = read_record(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
+        for name in (case.name for case in cases):
+            if Path(name).name != name or name in ("", ".", ".."):
+                raise KeyError(f"case name {quoted(name)} is no name of a folder")
         missing = {"scene", "command", "device", "precision"} - set(record)
         if missing or not cases:
             raise KeyError(", ".join(sorted(missing)) or "cases")
