@@ -156,7 +156,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error
         refuse(field.name, value, f"there is no module {error.name!r} on Python's path",
                "run it from the module's folder, or set PYTHONPATH to that folder")  # fmt: skip
-    except Exception as error:  # importing a user's module may raise any exception
+    except Exception as error:  # The import of a user's module may raise any exception.
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SceneError(f"{field.name} = {value!r}: cannot be imported ({said})") from error
     if found is None:

@@ -35,8 +35,8 @@ def own_cores(threads: int) -> Callable[[], None]:
 
     def take() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # this process may have lost the core in the meantime
-                os.sched_setaffinity(0, {next(places)})  # 0 is the calling thread
+            with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
+                os.sched_setaffinity(0, {next(places)})  # The number 0 means the calling thread.
 
     return take
 
@@ -95,9 +95,9 @@ class Crowding:
         if late - self._late <= LATE * self._stepped:
             self._sure, self._suspected, self._hold = True, False, HOLD[0]
         elif not self._suspected:
-            self._sure, self._suspected = False, True  # a single late window may be a coincidence
+            self._sure, self._suspected = False, True  # A single late window may be a coincidence.
         else:
             self.crowded, self._suspected = True, False
             self._until = time.monotonic() + self._hold
-            self._hold = min(2 * self._hold, HOLD[1])  # each failed attempt doubles the time to the next one
+            self._hold = min(2 * self._hold, HOLD[1])  # Each failed attempt doubles the wait.
         self._stepped, self._late = 0.0, late

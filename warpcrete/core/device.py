@@ -97,7 +97,7 @@ def default_threads() -> int:
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # the file does not exist, or no quota is set
+    except (OSError, ValueError):  # The file does not exist, or it states no quota.
         pass
     return cores
 

@@ -175,7 +175,7 @@ class Display(ABC):
         if self._taken is None:
             return work()
         known = self._taken.worked_out
-        if name not in known:  # two threads may both compute the value; their results are equal
+        if name not in known:  # Two threads may both compute the value; their results are equal.
             known[name] = work()
         return known[name]
 

@@ -189,7 +189,7 @@ class Exchange:
             return
         arrays = [array for array, _ in pairs]
         beside = self._beside("written", arrays)
-        if beside.written > self._arrived:  # a copy from this memory may still be in flight
+        if beside.written > self._arrived:  # A copy from this memory may still be in flight.
             self._wait()
         for view, (_, values) in zip(beside.views, pairs):
             view[...] = values

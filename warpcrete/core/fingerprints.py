@@ -32,7 +32,7 @@ def _feed(digest: Any, value: Any) -> None:
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, Mapping):
-        for key, item in value.items():  # the order matters, because it numbers the kinds of bonds
+        for key, item in value.items():  # Keep the order: it numbers the kinds of bonds.
             _feed(digest, key)
             _feed(digest, item)
     elif isinstance(value, list | tuple):
@@ -45,7 +45,8 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(_named(value))
     elif isinstance(value, str | None):
         digest.update(repr(value).encode())
-    elif hasattr(value, "vertices") and hasattr(value, "faces"):  # a trimesh mesh, whose parts refer to each other
+    elif hasattr(value, "vertices") and hasattr(value, "faces"):
+        # The parts of a trimesh mesh refer to each other, so hash its vertices and faces only.
         _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
     else:
         digest.update(_name(value))

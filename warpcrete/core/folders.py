@@ -16,7 +16,7 @@ from .files import LOCK, cannot_write, check_new, is_empty, remove_partial
 fcntl: Any
 try:
     import fcntl
-except ImportError:  # folders are not locked on systems other than POSIX
+except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 GRACE = 2.0
@@ -39,7 +39,7 @@ class Hold:
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # on a full disk, the lock file stays without the owner's name
+        with suppress(OSError):  # On a full disk, the lock file does not name its owner.
             os.write(self._file, owner.encode())
         remove_partial(folder)
 
@@ -88,7 +88,7 @@ def _lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # this file system has no locks
+    except OSError:  # The file system has no locks, so the folder counts as locked.
         return True
     return True
 
@@ -131,7 +131,7 @@ def make_folder(folder: Path) -> Hold:
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be made ({error.strerror})") from error
     hold = Hold(folder)
-    if not is_empty(folder):  # another run has locked and used the folder first
+    if not is_empty(folder):  # Another run has used the folder first.
         hold.release()
         check_new(folder)
     hold.made = made

@@ -23,17 +23,18 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
         seen.add(id(value))
         if isinstance(value, wp.array):
             whole = getattr(value, "_ref", None)
-            if whole is not None:  # this array is a view, so look at the array that owns the memory
+            if whole is not None:  # The array is a view: continue with the array that owns the memory.
                 waiting.append((path, whole))
             elif value.ptr and getattr(value, "deleter", None) is not None:
                 yield path, value
-        elif isinstance(value, wp.Mesh):  # the mesh's search tree is internal to Warp
+        elif isinstance(value, wp.Mesh):  # Warp hides the search tree of a mesh, so count its arrays only.
             waiting += [(path, value.points), (path, value.indices)]
         elif isinstance(value, Mapping):
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]
         elif isinstance(value, list | tuple | set):
             waiting += [(path, each) for each in value]
-        elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):  # Warp has no public class of structs
+        elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):
+            # This is an instance of a Warp struct; Warp has no public base class of structs.
             waiting += [(f"{path}.{key}", getattr(value, key)) for key in value._cls.vars]
         elif type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
             waiting += [(f"{path}.{key}", each) for key, each in getattr(value, "__dict__", {}).items()]

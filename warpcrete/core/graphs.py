@@ -72,7 +72,7 @@ class AtOnce:
     """
 
     def __init__(self, stages: Sequence[Any], device: Any) -> None:
-        self.stages = tuple(stages)  # keeps the arrays alive that the graph uses
+        self.stages = tuple(stages)  # The stages keep the arrays alive that the graph uses.
         self._graph = None
         if device.is_cuda:
             for stage in self.stages:

@@ -228,7 +228,7 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, AtOnce | None], list[Any]] = {}
         self._now_and_then: Callable[[], None] | None = None
-        self._without = 0  # number of steps since stages with `every` > 1 last ran
+        self._without = 0  # number of steps since the stages with `every` > 1 last ran
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.crowding = Crowding()
@@ -309,7 +309,7 @@ class Launcher:
         """
         for stage in stages:
             stage.record()
-        if self.crowding.crowded:  # one thread then does all work, as in a step
+        if self.crowding.crowded:  # During core contention, one thread does all work.
             self._together([lambda: [stage() for stage in stages]])
         else:
             self._together(stages)
@@ -319,7 +319,7 @@ class Launcher:
             for call in calls:
                 call()
             return
-        if len(calls) == 1:  # the calling thread is not pinned to a core
+        if len(calls) == 1:  # Use the calling thread, because it is not pinned to a core.
             with put_off():
                 calls[0]()
             return

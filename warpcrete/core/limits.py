@@ -143,9 +143,9 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return another unit in which a number would be usual, as a question; empty if there is none."""
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
-        return ""  # limits by unit are too wide to guess the unit from them
+        return ""  # Limits by unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # a number of this size is unusual in any unit
+        return ""  # A number of this size is unusual in any unit.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"{value:g} {other}?"

@@ -56,7 +56,7 @@ class Pool:
             if names in self._free:
                 self._outdated.append(self._free[names][1])
             self._free[names] = where, deque()
-        for outdated in self._outdated:  # done here, because a recorder's thread must not call the driver
+        for outdated in self._outdated:  # Free memory here: a recorder's thread must not call the driver.
             outdated.clear()
         free = self._free[names][1]
         # No lock is needed: several threads return memory to this queue, but only one thread takes memory from it.

@@ -172,7 +172,7 @@ class Field:
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
-            return value + 0.0  # turns -0.0 into 0.0
+            return value + 0.0  # The sum turns -0.0 into 0.0.
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
@@ -306,7 +306,7 @@ class SceneFunction(Generic[P, S]):
                 refuse("parameter", name, f"is none of scene {self.name}",
                        known_names(name, known))  # fmt: skip
         try:
-            for name, value in values.items():  # check each value by itself before values are combined
+            for name, value in values.items():  # Check each value by itself before values are combined.
                 made = known[name].converted(value, name)
                 known[name].check(made, name)
                 known[name].check_limits(made, name)
@@ -419,7 +419,7 @@ class SceneFunction(Generic[P, S]):
         def held(name: str) -> Any:
             return values.get(name, known[name].default)
 
-        while any(not meant(name) for name in values):  # a removed parameter may be a condition for others
+        while any(not meant(name) for name in values):  # A removed parameter may be a condition for others.
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 

@@ -58,7 +58,7 @@ class Recording:
                 raise
             self.active.remove(recorder)
             self._warn(recorder, error)
-            with suppress(Exception):  # keep what it has recorded so far
+            with suppress(Exception):  # Keep what the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
             return self._states.get(kind_of(recorder))
 

@@ -135,7 +135,7 @@ class Simulation:
         self._samples = 0  # number of rows after the row at t = 0
         self.sampled = 0.0, 0
         """Simulated time [s] of the last row, and number of steps that this object had taken by then."""
-        self._left: float | None = None  # fraction of the run done at a begun sample
+        self._left: float | None = None  # fraction of the run done, for a sample that is not complete
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -337,10 +337,10 @@ class Simulation:
         if self._resumed is not None:
             self._kept = self.stepper.time
         finished = interrupted = False
-        full: list[Exception] = []  # errors of a full disk
+        full: list[Exception] = []  # errors that a full disk caused
         try:
             try:
-                if not self.rows:  # save the state at t = 0 first: packing and settling took long
+                if not self.rows:  # Save the state at t = 0 first: packing and settling took long.
                     self._checkpoint()
                 self._recording.begin((self._resumed or {}).get("recorders", {}))
                 finished = yield from self._loop()
@@ -356,7 +356,7 @@ class Simulation:
                 self._complete()
             except KeyboardInterrupt:
                 interrupted = True
-            except InstabilityError:  # the run has already ended for another reason
+            except InstabilityError:  # The run has already ended for another reason.
                 pass
             except Exception as error:
                 failures.append(error)
@@ -406,7 +406,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.over:
-            self.ended_early()  # sets the reason for the end of the run
+            self.ended_early()  # This call sets the reason for the end of the run.
             return True
         if not self.rows:
             self.sampled = stepper.time, stepper.steps
@@ -423,7 +423,7 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._complete()  # if no step was taken, the previous sample is still incomplete
+            self._complete()  # If no step was taken, the previous sample is still incomplete.
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
             if number < samples and self._goes_on():
                 self._left = number / samples
@@ -484,7 +484,7 @@ class Simulation:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except RunFolderError as error:  # the previous checkpoint is still there
+            except RunFolderError as error:  # The previous checkpoint is still there.
                 if is_full(error):
                     raise
                 warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)

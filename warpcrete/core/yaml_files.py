@@ -85,7 +85,7 @@ def parsed_yaml(text: str, path: Path) -> Any:
     parser.Resolver, parser.Scanner = Untagged, Shallow
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # ignore warnings about anchors that are defined twice
+            warnings.simplefilter("ignore")  # Ignore warnings about anchors that are defined twice.
             node = parser.compose(text)
         return None if node is None else _Values(path).value(node)
     except Unreadable:
@@ -97,7 +97,7 @@ def parsed_yaml(text: str, path: Path) -> Any:
         reason = " ".join(f"is no YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
         raise Unreadable(reason, "write 'key: value' lines", line) from error
-    except Exception as error:  # parts of the parser may raise any exception
+    except Exception as error:  # Parts of the YAML parser may raise any exception.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise Unreadable(f"is no YAML: {reason}", "write 'key: value' lines") from error
 
