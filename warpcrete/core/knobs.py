@@ -12,7 +12,7 @@ class Level:
     """One setting of a knob."""
 
     label: str
-    """Text for tables."""
+    """Name of the level in tables, such as "10 mm"."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Parameters in which this level differs from the scene as given, with their values."""
     cost: float = 1.0

@@ -31,8 +31,8 @@ PATIENCE = 0.5
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
-"""Threads per CUDA block of a stage. Blocks this small keep all multiprocessors busy in a small scene. A step of a
-million spheres takes 0.95 of its time with blocks of 256."""
+"""Threads per CUDA block of a stage. Such small blocks keep all multiprocessors busy in a small scene. A step of a
+million spheres takes 95 % of the time that it takes with blocks of 256 threads."""
 Size = int | tuple[int, ...]
 """Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
 
@@ -255,7 +255,7 @@ class Launcher:
         ended: Callable[[], bool],
         behind: AtOnce | None = None,
     ) -> None:
-        """Run a graph of steps for each entry of `sizes`, its number of steps.
+        """Replay one graph for each entry of `sizes`, which is the number of steps in the graph.
 
         `step` has the stages of each thread. `alone` returns the same step for one thread that does all the work, and
         the stages of `behind` become the end of each graph on a GPU. On a CPU, `ended` is called after each graph; if
@@ -263,6 +263,7 @@ class Launcher:
         """
         left = list(sizes)
         while left:
+            # During core contention, or while contention is still unknown, check again after each graph.
             crowded = self._pool is not None and self.crowding.look()
             count = 1 if self._pool is not None and (crowded or self.crowding.on_trial) else len(left)
             now, left = left[:count], left[count:]

@@ -1,4 +1,4 @@
-"""Interface between a simulation method and the rest of the program, and the quantities that a run results in."""
+"""Interface between a simulation method and the rest of the program, and the quantities that result from a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Quantity:
-    """Number that a run results in: an entry of result.json and, with a `label`, a line in the command's report."""
+    """Number that results from a run: an entry of result.json and, with a `label`, a line in the command's report."""
 
     name: str
     unit: str

@@ -41,7 +41,7 @@ class Pool:
         self._one: wp.array | None = None
 
     def one(self, device: Any) -> wp.array:
-        """Return an array of shape (1,) on a device that holds the number 1."""
+        """Return an array on a device, shape (1,), that holds 1; a copy of it is a flag of arrival."""
         if self._one is None:
             self._one = wp.ones(1, dtype=wp.int32, device=device)
         return self._one

@@ -98,7 +98,7 @@ class FileIf:
 
 @dataclass(frozen=True)
 class Alias:
-    """Second name of a parameter; `convert` turns a value given under this name into the parameter's value."""
+    """Another name of a parameter; `convert` turns a value given under this name into the parameter's value."""
 
     name: str
     convert: Callable[[Any], Any] | None = None
@@ -150,7 +150,7 @@ class Field:
         return self.unit.strip() if self.unit.strip() in UNITS else "1"
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
-        """Return the field's rules of one class."""
+        """Return those rules of the field that are instances of `kind`."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
     def converted(self, value: Any, name: str) -> Any:

@@ -30,7 +30,7 @@ class Recorder:
         """Take exclusive resources, such as the run folder, before any work is done."""
 
     def abandon(self, simulation: Any) -> None:
-        """Return the exclusive resources that `claim` took, because the run never began."""
+        """Release the exclusive resources that `claim` took, because the run never began."""
 
     def start(self, simulation: Any) -> None:
         """Prepare to record a run that is about to begin."""

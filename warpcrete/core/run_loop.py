@@ -147,7 +147,7 @@ class Simulation:
 
     @abstractmethod
     def set_up(self) -> None:
-        """Create the method's data from the scene, without preparing the state; refuse an impossible scene."""
+        """Create the method's data from the scene; refuse a scene that cannot be simulated."""
 
     @property
     @abstractmethod
@@ -306,7 +306,7 @@ class Simulation:
             recorder.claim(self)
 
     def abandon(self, refused: bool = False) -> None:
-        """Return the resources that `claim` took, unless the run has begun.
+        """Release the resources that `claim` took, unless the run has begun.
 
         For a scene that is `refused`, remove the checkpoint too.
         """
@@ -351,6 +351,7 @@ class Simulation:
                     raise
                 full.append(error)
         finally:
+            # Whatever ended the run, complete the sample that was begun and write all results.
             failures = self._recording.failures
             try:
                 self._complete()
@@ -425,6 +426,7 @@ class Simulation:
             yield from self.reaching(goal)
             self._complete()  # If no step was taken, the previous sample is still incomplete.
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
+            # If possible, launch the next steps before this sample is complete; the stepper then calls `_complete`.
             if number < samples and self._goes_on():
                 self._left = number / samples
                 if self._frame_is_due():

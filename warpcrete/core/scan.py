@@ -26,6 +26,7 @@ def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
     named = {"count": count, "values": values, "before": before}
     if not parallel(device):
         return [Stage(kernels.spread, 1, named, device)]
+    # First each block adds up its own values, then it spreads the sum of all previous blocks over its rows.
     blocks = -(-count // (EACH * BLOCK))
     partial = wp.zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}

@@ -16,8 +16,8 @@ PATIENCE = 5e-3
 
 _waits = threading.Event()
 _counting, _waiting = threading.Lock(), 0
-"""Number of runs of this process that are waiting, and its lock. A run that goes on must not block the recorders of
-another run that waits."""
+"""Lock, and number of runs of this process that are waiting. If one run waits, all recorders may work: a busy run must
+not block the recorders of another run."""
 
 
 @contextmanager
