@@ -26,7 +26,8 @@ def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
     named = {"count": count, "values": values, "before": before}
     if not parallel(device):
         return [Stage(kernels.spread, 1, named, device)]
-    # First each block adds up its own values, then it spreads the sum of all previous blocks over its rows.
+    # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
+    # the sum of the previous values in the same block.
     blocks = -(-count // (EACH * BLOCK))
     partial = wp.zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}
