@@ -70,7 +70,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(".scenes", __name__)
     if name == "__version__":
         return importlib.import_module(".core.version", __name__).version_of("warpcrete")
-    if name == "FluidSimulation":  # Old name, from when Simulation did not take every scene.
+    if name == "FluidSimulation":  # FluidSimulation is an old name; Simulation now takes every scene.
         return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

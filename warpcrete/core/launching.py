@@ -228,7 +228,7 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, AtOnce | None], list[Any]] = {}
         self._now_and_then: Callable[[], None] | None = None
-        self._without = 0  # number of steps since the stages with `every` > 1 last ran
+        self._without = 0  # number of steps since the stages last ran that are not part of every step
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.crowding = Crowding()

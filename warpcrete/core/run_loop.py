@@ -135,7 +135,7 @@ class Simulation:
         self._samples = 0  # number of rows after the row at t = 0
         self.sampled = 0.0, 0
         """Simulated time [s] of the last row, and number of steps that this object had taken by then."""
-        self._left: float | None = None  # fraction of the run done, for a sample that is not complete
+        self._left: float | None = None  # fraction of the run done at a sample that is incomplete
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
