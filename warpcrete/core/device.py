@@ -105,7 +105,7 @@ def default_threads() -> int:
 def checked_threads(threads: int | None) -> int:
     """Return `threads`, or the number of usable cores if `threads` is None.
 
-    Raises :class:`SceneError` if the machine has fewer cores than `threads`.
+    Raises :class:`SceneError` unless `threads` is between 1 and the number of the machine's cores.
     """
     if threads is None:
         return default_threads()

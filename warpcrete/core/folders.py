@@ -140,7 +140,7 @@ def make_folder(folder: Path) -> Hold:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Create a new folder and lock it while the block runs; remove the folder if the block leaves it empty."""
+    """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
     hold = make_folder(folder)
     try:
         yield

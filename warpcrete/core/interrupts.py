@@ -44,7 +44,8 @@ def put_off() -> Iterator[None]:
 class StopAtSample:
     """Context in which a first Ctrl-C ends all `simulations` at their next sample, and a second one at once.
 
-    Simulations that are writing their results are not interrupted. Outside the main thread, this context does nothing.
+    Ctrl-C has no effect while all simulations are writing their results. Outside the main thread, this context does
+    nothing.
     """
 
     def __init__(self, simulations: Sequence[Any]) -> None:
