@@ -45,7 +45,7 @@ class Saving:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What a scene requires on a device: its forecast and possible savings."""
+    """Forecast of a scene on a device, with the savings that simplifications would bring."""
 
     scene: str
     forecast: Forecast
