@@ -84,7 +84,7 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    files.pop(str(targets.resolve()) if read else "", None)  # the record holds the contents of this file
+    files.pop(str(targets.resolve()) if read else "", None)  # its contents are in the record
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch

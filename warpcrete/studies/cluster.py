@@ -154,7 +154,7 @@ class Cluster:
                     running[self._client.submit(_do, function, *common, job, name, pure=False)] = tag
                 if gap.asked and not stopping:
                     stopping = True
-                    stop.set()  # running jobs end at their next sample
+                    stop.set()  # make running jobs end at their next sample
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
                     for future in [future for future in running if future.key not in with_workers]:
                         future.cancel()
@@ -169,7 +169,7 @@ class Cluster:
                 for future in ended.done:
                     book(running.pop(future), _outcome(future))
         except WarpcreteError:
-            stop.set()  # no one collects the results of the other jobs
+            stop.set()  # end the other jobs, because their results are lost
             raise
         except Exception as lost:
             raise WarpcreteError(f"scheduler = {self._scheduler!r}: is lost: {type(lost).__name__}") from lost

@@ -60,7 +60,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
         return Error(quantity, shift, 0.0)
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
-    if np.array_equal(a, b):  # both sides are the same runs
+    if np.array_equal(a, b):  # the reference is compared with itself
         return Error(quantity, 0.0, student(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())

@@ -62,7 +62,7 @@ def simulations_of(
     for case in cases:
         try:
             made[case.name] = simulation_of(record, module, folder, case, told(case))
-        except Exception as error:  # the other cases still run
+        except Exception as error:  # an invalid case must not stop the other cases
             refused[case.name] = error
     return made, refused
 
@@ -70,7 +70,7 @@ def simulations_of(
 def run_on_gpu(
     record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book, tell: Progress
 ) -> None:
-    """Run all cases on a GPU: discrete elements as one batch, flows one after the other."""
+    """Run all cases together on a GPU: discrete elements in batches, flows on streams of their own."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def told(case: Case) -> Progress:
@@ -135,7 +135,7 @@ def run_in_processes(
                         outcome = error
                     book(case, outcome)
             except KeyboardInterrupt:
-                crew.stop()  # running cases end at their next sample
+                crew.stop()  # make running cases end at their next sample
 
 
 def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:

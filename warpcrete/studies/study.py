@@ -1,8 +1,8 @@
 """Parameter studies: cases from lists of parameter values, run in parallel, with one table and one figure.
 
-On a GPU, cases of discrete elements that need the same features run as one batch, and flows run one after the other. On
-a CPU, each case runs in its own process. Every case has its own run folder inside the study's folder, and a resumed
-study runs only unfinished cases.
+On a GPU, cases of discrete elements that need the same features run as one batch, and flows run side by side on streams
+of their own. On a CPU, each case runs in its own process. Every case has its own run folder inside the study's folder,
+and a resumed study runs only unfinished cases.
 """
 
 from __future__ import annotations
@@ -269,8 +269,7 @@ def run_listed(
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
-        # The record holds values as the scene uses them: absolute paths, and a concrete's parameters instead of its
-        # name.
+        # The record holds values as the scene uses them, such as absolute paths and a concrete's single parameters.
         cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
         check_named(made)
         files |= made.parameters.files
@@ -411,7 +410,7 @@ def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            scene(**case.parameters)  # raises the error that explains why
+            scene(**case.parameters)  # raise the error that names the parameter
     return found
 
 

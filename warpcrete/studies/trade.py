@@ -172,7 +172,7 @@ def resume_trade(
     """
     check_scheduler(scheduler, workers)
     record = read_record(folder / "trade.json")
-    check_files(folder / "trade.json", record.get("files", {}))  # before any of these files is imported
+    check_files(folder / "trade.json", record.get("files", {}))  # reject changed files before importing them
     try:
         with names_from_file():
             trade = Trade(folder, module, record)
@@ -273,8 +273,7 @@ def _finest(trade: Trade, tell: Tell) -> None:
             break
         if top == trade.record.get("finest"):  # an earlier call ran this setting when the budget was larger
             break
-        # Benefit of coarsening each knob by one level: the logarithm of the saved time factor, divided by the added
-        # error.
+        # For each knob, divide the logarithm of the time factor that one coarser level saves by the error it adds.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -288,7 +287,7 @@ def _finest(trade: Trade, tell: Tell) -> None:
     point = trade.point(REFERENCE, top)
     if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
         trade.record = {**trade.record, "finest": top}
-    else:  # fall back to the scene as given
+    else:  # use the scene as given as the reference
         del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
@@ -345,7 +344,7 @@ def _carried(
         if not trade.complete(other, trade.seeds):
             trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
-            continue  # the budget is used up
+            continue  # there was no time left to run this variant
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:

@@ -27,7 +27,7 @@ from .running import FAILED, kept
 from .trials import FEW, Trial, run_trial, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
-"""Recording options on workers: no pictures, and no checkpoints, because a resumed run has no valid wall time."""
+"""Recording options on workers: checkpoints are off, because a resumed run would have no valid wall time."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -38,7 +38,7 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        if module.trading.tolerance:  # accept the largest error of interest
+        if module.trading.tolerance:  # let checks accept the largest error of interest
             self.base.setdefault(module.trading.tolerance, TARGETS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
@@ -342,7 +342,7 @@ class Trade:
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
-                found.append(Error(each.name, math.inf, 0.0))  # a run lacks this quantity
+                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks it
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0

@@ -49,7 +49,7 @@ def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, a
         took = time.perf_counter() - begun
         if found and took + took / len(found) > trial.left:
             break
-        outcome = kept(folder / case.name)  # a lost worker may have finished this case
+        outcome = kept(folder / case.name)  # a worker that was lost may have finished the case
         if outcome is None:
             outcome, warm = _run(record, module, folder, case, warm, asked), False
         found.append(outcome)

@@ -155,7 +155,7 @@ class _Worker:
 def serve() -> None:
     """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # send printed text to standard error, away from the answers
+    os.dup2(2, 1)  # printed text must not mix with the answers
     warn_in_one_line()
     warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has issued these warnings already
     inbox: queue.Queue[Any] = queue.Queue()
@@ -183,7 +183,7 @@ def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
 def _answer(answers: Any, message: Any) -> None:
     try:
         data = pickle.dumps(message)
-    except Exception:  # an exception with contents that cannot be pickled
+    except Exception:  # the answer is an exception that cannot be pickled
         data = pickle.dumps(WarpcreteError(f"{type(message).__name__}: {message}"))
     answers.write(data)
     answers.flush()
