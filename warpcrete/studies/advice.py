@@ -14,7 +14,7 @@ from ..core.files import read_json
 from ..core.parameters import declared_fields
 
 NO_MATTER = ("seed", "precision", "tolerated_error")
-"""Parameters in which a scene may differ from the measured scene without a warning."""
+"""Parameters whose values do not affect whether a trade-off study applies to a scene."""
 SHIPPED = Path(__file__).parents[1] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 
@@ -36,21 +36,21 @@ class Advice:
     left_out: tuple[str, ...]
     """Descriptions of settings that this scene cannot take; without them the promised error does not hold."""
     outside: tuple[str, ...]
-    """Differences between this scene and the measured one, in words; the promise was not tested there."""
+    """Differences between this scene and that of the trade-off study, in words; the promise was not tested there."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str
     """Processor on which the wall times were measured."""
     time: float
-    """Wall time of a run of the measured scene with these settings on `machine` [s]; NaN if it is unknown."""
+    """Wall time of a run of the trade-off study's scene with these settings, on `machine` [s]; NaN if unknown."""
 
 
 def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
     Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
-    closed form, then by how few knobs exist in only one of them, then by how few parameters differ, then by the kind of
-    machine (GPU or CPU).
+    closed form, then by how few knobs (accuracy parameters) exist in only one of them, then by how few parameters
+    differ, then by the kind of machine (GPU or CPU).
     """
     own = module.scene.resolved(given)
     found = []

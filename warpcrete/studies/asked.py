@@ -34,7 +34,7 @@ def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | No
 
 
 def module_of(scene: Any) -> tuple[str, Any]:
-    """Return the name on the command line and the module of a scene function; raise :class:`SceneError` otherwise."""
+    """Return a scene function's command-line name and its module; raise :class:`SceneError` for other objects."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
         refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")

@@ -36,13 +36,9 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 FEWEST = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 CLEAR = 0.5
-"""Limit of the emulator's standard deviation, divided by the target's uncertainty. Below it further runs would not
-change the answer.
-"""
+"""Ratio of the emulator's standard deviation to the target's uncertainty below which more runs change nothing."""
 STILL = 0.25
-"""Limit of the shift of the posterior mean between two rounds, in posterior standard deviations. Below it the answer
-counts as settled.
-"""
+"""Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
 
 def calibrate(
@@ -295,7 +291,7 @@ def _judge(found: Calibration, seed: int) -> None:
 def _proposed(
     found: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Return the points in the unit cube and the seeds of the next round; None when the calibration is complete."""
+    """Return the next round's parameter sets, as points of the unit cube, and seeds; return None when all is done."""
     begun = settings["seed"] + len(found.trials)
     if found.posterior is not None and (found.settled or left <= 0):
         if settings["repeat"] == 0:
@@ -315,7 +311,7 @@ def _proposed(
 def _first(
     found: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> list[list[float]]:
-    """Return points of the first round: an estimate from closed forms, if there is one, then an even Sobol sequence."""
+    """Return the points of the first round: an estimate from closed forms, if any, then an even Sobol sequence."""
     from scipy.stats import qmc
 
     free = len(found.task.free)
@@ -347,7 +343,7 @@ def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
 
 
 def _hoped(found: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Return points proposed by Optuna, which receives all trials; failed trials violate its constraint."""
+    """Return points proposed by the optimiser Optuna, which knows all trials and treats failed ones as infeasible."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)

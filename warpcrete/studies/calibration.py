@@ -15,9 +15,7 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 FAR = 3.0
-"""Distance between a target and the closest value that the model reaches, in standard deviations of the target. Beyond
-it the target counts as unreachable.
-"""
+"""Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
 
 
 @dataclass

@@ -35,7 +35,7 @@ SCHEDULERS = ("local", "slurm")
 LOCAL = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Options of a scheduler that only processes on this machine can reach."""
 LOOK = 1.0
-"""Interval between two queries whether the user wants to stop [s]."""
+"""Interval at which a worker checks whether the user wants to stop [s]."""
 CONNECT = 20.0
 """Time limit for a scheduler to answer and for the first worker to connect [s]."""
 T = TypeVar("T")
@@ -43,7 +43,7 @@ _job = threading.Lock()
 
 
 class WorkerLost(WarpcreteError):
-    """Error: every worker that tried a job died, or the job raised an unexpected exception."""
+    """Error raised when every worker that tried a job died, or the job raised an unexpected exception."""
 
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
@@ -279,7 +279,7 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
 
 
 def slurm_cluster(device: str | None, threads: int = 1) -> Any:
-    """Submit SLURM jobs as the section `jobqueue.slurm` of Dask's configuration describes them.
+    """Create a cluster of SLURM jobs from the section `jobqueue.slurm` of Dask's configuration.
 
     Defaults for missing entries are a core for each thread of a run, 4 GB of memory, and one GPU if `device` names one.
     """

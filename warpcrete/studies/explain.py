@@ -68,7 +68,7 @@ def explain(
     trade: Path | str | None = None,
     cache: bool = True,
 ) -> Explanation:
-    """Forecast what a scene requires on a device; the measurement takes a few seconds and is cached.
+    """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
 
     `scene` is a scene of a scene function, or any other that :class:`warpcrete.Simulation` accepts. `trade` is the
     folder of a trade-off study, whose measured errors are listed with the savings (default: the most similar shipped
@@ -139,7 +139,7 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
 
 
 def _knobs_of(scene: Any) -> set[str]:
-    """Return the names of a scene's knobs that recommended settings may change."""
+    """Return the names of a scene's accuracy knobs that recommended settings may change."""
     module = modules().get(scene.name)
     given = arguments_of(scene)
     if module is None or not given:

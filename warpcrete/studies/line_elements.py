@@ -33,7 +33,7 @@ SCENE = "part-dem"
 STRAIGHT = 3.0
 """Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
 WIDEST = 0.3
-"""Diameter of the largest stone as a fraction of the narrowest bore, up to which stones are enlarged by default."""
+"""Fraction of the narrowest bore to which the largest stone is enlarged by default."""
 STIFFER = 5.0
 """Default factor on the concrete's elastic modulus.
 
@@ -48,11 +48,11 @@ has a plug that hardly resists; its low pressures alone would overestimate the f
 PRESSURE = 0.04
 """Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
 SOFT = 0.2
-"""Pressure over the modulus above which wall friction is assumed constant, because elements would overlap strongly."""
+"""Ratio of pressure to modulus above which wall friction is assumed constant, as elements would overlap strongly."""
 STEPS = 50
 """Number of steps in which the pressure is integrated along a part."""
 EVEN = 0.8
-"""Ratio of the outflow of solids to the inflow below which the report contains a remark."""
+"""Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
 SIZES = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -96,7 +96,7 @@ class WallLaw:
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
-        """Fit the law to the stresses at the stations of a straight pipe of the given `diameter` [m].
+        """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
         `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
         """
@@ -222,7 +222,7 @@ def run_elements(
 ) -> ElementLine:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` (name or file) by discrete elements.
 
-    Each kind of part is simulated without weight, and on a GPU all of them run as one batch. Runs are stored in `out`,
+    Each kind of part is simulated without weight, and on a GPU all parts run together. Runs are stored in `out`,
     where interrupted runs continue; finished runs in `known`, the folder of an earlier line, are reused. Raises
     :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """

@@ -22,7 +22,7 @@ PARTS = "parts"
 
 @contextmanager
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
-    """Lock a line's folder while the block simulates it: a new folder, or that of the same interrupted line.
+    """Lock the folder of a line during a `with` block: a new folder, or that of the same interrupted line.
 
     `asked` holds everything on which the line's runs depend, as JSON; `out` may be None for no folder. A block that
     fails before any run leaves no folder. Raises :class:`RunFolderError` if the folder exists and is complete or

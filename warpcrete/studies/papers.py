@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 FLAT = 0.05
-"""Relative spread of pressures, by their mean, below which they count as equal."""
+"""Relative spread (range over mean) up to which pressures count as equal."""
 LINEAR = 0.98
 """Coefficient of determination of a straight line's fit above which a relation counts as linear."""
 GROWS = 0.03
@@ -33,7 +33,7 @@ class Row:
     judge: Judge
     """Function that judges whether our pressures support the claim."""
     base: Mapping[str, Any] = field(default_factory=dict)
-    """Further parameters that all runs of the row share."""
+    """Further parameters that all runs of this variation share."""
     numbers: tuple[float, ...] = ()
     """Numeric equivalents of `values` if these are words; otherwise empty."""
     printed: Mapping[Any, float] = field(default_factory=dict)
@@ -41,7 +41,7 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """Whether the row is about hydrated bonds."""
+        """Whether the varied parameter concerns hydrated bonds."""
         return self.parameter.startswith("hydration")
 
     @property
@@ -89,7 +89,7 @@ def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str
 
 
 OF_ALL = (narrow, late)
-"""Judges that need every value, so that no run may be missing."""
+"""Judging functions that need every value, so that no run may be missing."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -107,7 +107,7 @@ ZHAN = (
 )  # fmt: skip
 """Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
-"""Smallest aggregate size by the largest one, in the paper's gradings [m]."""
+"""Smallest aggregate size by the largest one, in the gradings of Zhan et al. [m]."""
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 """Names of the paper's four pipe units A to D."""
 PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
@@ -119,14 +119,14 @@ PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (
 """Lengths up and along [m], pressure predicted by the paper and pressure recorded on site [Pa], by pipeline."""
 
 UNITS_ROW = "units"
-"""Name of the row with the four pipe units."""
+"""Name of the group of runs with the four pipe units."""
 
 CONCRETES: dict[str, dict[str, Any]] = {
     "literal": {"concrete": "zhan-table1"},
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""Concretes of the reproduction: Table 1 of the paper as printed; the same with a wall layer and wall friction
+"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same with a wall layer and wall friction
 calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same friction and another layer.
 """
 
@@ -141,16 +141,16 @@ OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets for the exact one"),
     "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls for two (six in bends)"),
 }  # fmt: skip
-"""Assumptions that replace details which the paper leaves open. Each entry has parameters that are added to the
-calibrated concrete, the rows that are run with them, and a description. Nothing is calibrated again, so the pressures
-of units A and B may change.
+"""Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
+concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
+pressures of units A and B may change.
 """
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
 
 def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of unit D at one value of a row."""
+    """Return the scene parameters of Zhan's unit D at one value of a varied parameter."""
     case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":
@@ -159,12 +159,12 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def overrides(name: str) -> dict[str, Any]:
-    """Return the parameters of a report column: a concrete, or the calibrated concrete with an open assumption."""
+    """Return the parameters of a report column: one of the concretes, or the calibrated one with an open assumption."""
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN[name][0]}
 
 
 def rows_of(name: str) -> tuple[str, ...]:
-    """Return the names of the rows that are run for a report column."""
+    """Return the names of the parameter variations that are run for a column of the report."""
     return OPEN[name][1] if name in OPEN else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
@@ -178,8 +178,8 @@ XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
 """Thicknesses of the slip layer in Xu's study [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
-"""Pressure [Pa] and slip velocity [m/s] of concrete no. 1 at the reference flow, as printed by Xu. The closed form in
-the version of that paper gives 9.43e3 Pa and 0.186 m/s.
+"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
+form gives 9.43e3 Pa and 0.186 m/s.
 """
 
 

@@ -1,4 +1,4 @@
-"""Points of a trade-off study (settings of a scene with their runs), and the errors promised for them."""
+"""Settings tried in a trade-off study, the results of their runs, and the errors promised for them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .fronts import Error, worst
 TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Relative errors for each of which the cheapest settings are sought."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Origins of points that do not vary a single knob: the scene as given, the finest setting that the budget allows, a
-combination of knob levels, and a setting that is tested in a variant of the scene.
+"""Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
+allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
 """
 
 
@@ -26,9 +26,9 @@ class Point:
     """One setting of the scene and the results of its runs."""
 
     origin: str
-    """Name of the knob that the point varies, or one of the words above, such as "finest"."""
+    """Origin of the setting: the name of the knob that it varies, or "as given", "finest", "combined" or "carried"."""
     levels: dict[str, int]
-    """Level of each knob that differs from the scene as given, by knob name."""
+    """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
     parameters: dict[str, Any]
     """All keyword arguments of the scene function, without the seed."""
     results: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -36,19 +36,17 @@ class Point:
     failures: dict[int, str] = field(default_factory=dict)
     """Errors that ended runs for good, by seed."""
     left_out: str = ""
-    """Reason why the point was not run; a later attempt may run it."""
+    """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Pairs (offset, factor) that convert quantities with another meaning at this setting to the scene's own meaning.
-    :class:`warpcrete.core.knobs.Level` explains them.
-    """
+    """Conversions of quantities that mean something else at this setting; see :class:`warpcrete.core.knobs.Level`."""
     variant: str = ""
     """Description of how the scene differs from that of the trade-off study; empty if it does not."""
     full: dict[str, Any] = field(default_factory=dict)
     """All parameters that have an effect, including default values."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """Return the converted values of a quantity in the runs with these seeds."""
+        """Return the values of a quantity in the runs with these seeds, converted to the scene's own meaning."""
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
         return [offset + factor * (value - offset) for value in found]

@@ -25,7 +25,7 @@ SEARCHED = 2048
 """Number of points in the unit cube from which the best ones become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED = 64, 300, 100
 WIDTH = 0.15
-"""Radius in the unit cube within which a failed run lowers the probability of other points."""
+"""Radius in the unit cube of parameter ranges within which a failed run makes success less likely."""
 FLAT = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
@@ -161,7 +161,7 @@ def _spread(free: int, count: int, seed: int) -> np.ndarray:
 
 
 def _trusted(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the probability of success at points, from the share of successful runs nearby."""
+    """Return the logarithm of the estimated probability that runs at these points succeed, judged by nearby runs."""
     if sound.all():
         return np.zeros(len(at))
     near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / WIDTH**2)

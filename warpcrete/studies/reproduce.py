@@ -102,7 +102,7 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the columns and rows of Zhan et al. among the names in `only`; an empty list stands for all of them."""
+    """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
     columns, rows = [*CONCRETES, *OPEN], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "is for zhan, whose cases are many", "leave it out")
@@ -116,7 +116,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
-    """Return the results of an earlier reproduction of the same paper; failed runs are not among them."""
+    """Return the results in the folder of an earlier reproduction of the same paper, without failed runs."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
         raise RunFolderError(f"known = '{folder}': holds no results of a reproduction")
     record = read_record(folder / RECORD)
@@ -138,7 +138,7 @@ def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any
 
 
 def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
-    """Return the parameters of a column's unknown cases for all seeds.
+    """Return the parameters of a report column's cases that have no result yet, for all seeds.
 
     With `hydrated` these are the rows about hydrated bonds, and otherwise the units and all other rows.
     """

@@ -62,7 +62,7 @@ def unit_case(unit: str, quick: bool) -> dict[str, Any]:
 
 
 def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
-    """Return the peak pressures [Pa] for each value of a row, with one number for every seed that ran.
+    """Return the peak pressures [Pa] at each value of a varied parameter, one number for every seed that ran.
 
     `name` is the report column, which determines the concrete.
     """
@@ -72,7 +72,7 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 
 
 def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
-    """Return the mean peak pressures of a row [Pa], with NaN for failed runs, and a verdict in words.
+    """Return mean peak pressures [Pa] over a varied parameter, with NaN for failed runs, and a verdict in words.
 
     The verdict on the paper's claim is empty if the row was not run.
     """

@@ -41,7 +41,7 @@ from .study_table import columns_of, write_parquet
 from .workers import WorkerDied
 
 COUNTS = ("runs", "failed", "suspect")
-"""Counting columns of a table: finished runs, runs that ended with an error, and finished runs with a failed check."""
+"""Columns that count runs: finished ones, ones that ended with an error, and finished ones with a failed check."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -415,7 +415,7 @@ def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
 
 
 def _known(study: Study, case: Case) -> bool:
-    """Store the outcome of an earlier run of the case in `study`, and return whether there was one.
+    """Return whether a case has finished or failed before, and store that outcome in `study`.
 
     A case that was interrupted before its first checkpoint is deleted.
     """

@@ -27,7 +27,7 @@ from ..methods import METHODS, method_of
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
 DECADE = 10.0
-"""Ratio of the ends of a range from which on the parameter is searched on a logarithmic scale by default."""
+"""Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
 APART = 3.0
 """Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
 
@@ -103,7 +103,7 @@ class Task:
 
     @property
     def groups(self) -> list[list[Target]]:
-        """Lists of targets that one run can answer together."""
+        """Groups of targets that one run can answer together."""
         found: dict[str, list[Target]] = {}
         for target in self.targets:
             found.setdefault(target.key, []).append(target)

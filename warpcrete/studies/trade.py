@@ -34,7 +34,7 @@ from .trading import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH = 3
-"""Number of fresh seeds with which a promise is tested, in addition to the seeds on which it is based."""
+"""Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
 ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
@@ -248,13 +248,13 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
-    """Run each level of each knob alone, cheap ones first."""
+    """Run the scene with each level of each accuracy knob alone, cheap ones first."""
     alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
     trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, ALONE_UNTIL)
 
 
 def _finest(trade: Trade, tell: Tell) -> None:
-    """Run the reference: all knobs at their finest level, or as fine as the remaining budget allows.
+    """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
 
     If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
     knob becomes coarser than in the scene as given.
@@ -306,9 +306,9 @@ def _combine(trade: Trade, tell: Tell) -> None:
 
 
 def _promise(trade: Trade, tell: Tell) -> None:
-    """Find the cheapest point within each wanted error, and test it with fresh seeds and in variants of the scene.
+    """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
 
-    If a point fails there or exceeds the wanted error, the next cheapest one is tested.
+    If a setting fails there or exceeds the wanted error, the next cheapest one is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -332,7 +332,7 @@ def _promise(trade: Trade, tell: Tell) -> None:
 def _carried(
     trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return the largest error of a point in each variant of the scene, and the error bound that it promises.
+    """Return the largest error of a setting in each variant of the scene, and the error bound that it promises.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """

@@ -23,7 +23,7 @@ def percent(error: Error | None) -> str:
 
 
 def on_front(trade: Trade) -> list[Point]:
-    """Return the points on the Pareto front of cost and error, by rising cost."""
+    """Return the settings on the Pareto front of wall time and error, by rising wall time."""
     points = [p for p in trade.measured if not p.suspect]
     return [points[k] for k in front([(p.cost, p.worst.size) for p in points if p.worst is not None])]
 
@@ -213,7 +213,7 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str, colour: str) -> None:
-    """Draw the points of one origin with their confidence intervals."""
+    """Draw a group of settings, such as those that vary one knob, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]
@@ -230,7 +230,7 @@ def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Write the level next to each point of a single knob, unless labels would overlap; the table lists all levels."""
+    """Label settings that vary a single knob with its level, unless labels overlap; the table lists all levels."""
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:

@@ -52,7 +52,7 @@ class Trade:
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Point] = []
         self.tried: list[Point] = []
-        """Points that were run in variants of the scene."""
+        """Settings that were run in variants of the scene."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf
@@ -88,12 +88,12 @@ class Trade:
 
     @property
     def given(self) -> Point:
-        """Point of the scene as given."""
+        """Setting of the scene as given."""
         return self.points[0]
 
     @property
     def chosen_knobs(self) -> list[Knob]:
-        """Knobs from which settings for a wanted accuracy are built."""
+        """Knobs (accuracy parameters) from which settings for a wanted accuracy are built."""
         return [knob for knob in self.knobs if knob.chosen]
 
     @property
@@ -103,32 +103,32 @@ class Trade:
 
     @property
     def reference(self) -> Point | None:
-        """Point with all knobs as fine as the budget allowed; None if a closed form is the reference."""
+        """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
     def measured(self) -> list[Point]:
-        """Points with a known wall time and error."""
+        """Settings with a measured wall time and error."""
         return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
                 and math.isfinite(p.worst.bound)]  # fmt: skip
 
     def rounds(self, runs: int) -> int:
-        """Return the number of successive rounds in which the available workers complete that many `runs`."""
+        """Return the number of successive rounds in which the available workers complete a number of `runs`."""
         return math.ceil(runs / self.abreast)
 
     def label(self, point: Point) -> str:
-        """Return a description of how a point differs from the scene as given."""
+        """Return a description of how a setting differs from the scene as given."""
         parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
                  if knob.name in point.levels]  # fmt: skip
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Point) -> dict[str, str]:
-        """Return the levels of a point by knob name, under names that are valid in other scenes."""
+        """Return the knob levels of a setting by knob name; the levels' names are valid in other scenes, too."""
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
 
     def point(self, origin: str, levels: Mapping[str, int]) -> Point:
-        """Return the point with these levels; a new one is created unless a point with equal parameters exists."""
+        """Return the setting with these knob levels; create it unless one with equal parameters exists."""
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
@@ -144,7 +144,7 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
-        """Return the point that applies the levels of `point` to a variant of the scene.
+        """Apply the knob levels of a setting to a variant of the scene, and return the resulting setting.
 
         Levels are matched by their names, because their values may differ in the variant.
         """
@@ -174,7 +174,7 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time of a knob's level, relative to the scene as given: measured, or else estimated."""
+        """Return the wall time with one knob at a level over that of the scene as given, measured or else estimated."""
         alone = self._alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
             return alone.cost / self.given.cost
@@ -184,19 +184,19 @@ class Trade:
         return self._with(self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of the knob's level in the scene as given, or of the finest level if none matches."""
+        """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 
     def expected(self, point: Point) -> float:
-        """Return the measured or estimated wall time of one run of a point [s]."""
+        """Return the measured or estimated wall time of one run of a setting [s]."""
         if math.isfinite(point.cost):
             return point.cost
         by_name = {knob.name: knob for knob in self.knobs}
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
     def run(self, point: Point, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
-        """Run the missing seeds of a point; return whether all of them are complete.
+        """Run the missing seeds of a setting; return whether all of them are complete.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
         """
@@ -204,7 +204,7 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Point], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run the missing seeds of points in order, within the fraction `until` of the budget, on all workers."""
+        """Run the missing seeds of settings in order, within the fraction `until` of the budget, on all workers."""
         lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
         if self.cluster is None:
             for point, (seed, *_), _ in self._due(lacking, tell, until):
@@ -215,7 +215,7 @@ class Trade:
             self._run_on(self.cluster, self._due(lacking, tell, until))
 
     def _take_over(self, point: Point, seeds: Sequence[int]) -> list[int]:
-        """Read the existing runs of a point from their folders; return the seeds that still have to run."""
+        """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
         for seed in seeds:
             if seed not in point.results and not point.failure:
                 found = kept(self._folder(point, seed))
@@ -228,10 +228,10 @@ class Trade:
     def _due(
         self, lacking: Sequence[tuple[Point, list[int]]], tell: Tell, until: float
     ) -> Iterator[tuple[Point, list[int], float]]:
-        """Yield the next job: a point, some of its seeds, and the time that is left for them [s].
+        """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
 
         The caller requests a job when a processor is free, so each decision uses the results available at that moment.
-        If there are enough points for all workers, one worker takes all seeds of a point and loads its kernels only
+        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
         once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
@@ -255,7 +255,7 @@ class Trade:
                 yield point, seeds[first : first + size], left
 
     def complete(self, point: Point, seeds: Sequence[int]) -> bool:
-        """Return whether the point has a result for every seed."""
+        """Return whether a setting has a result for every seed."""
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Point, seed: int) -> Path:
@@ -331,12 +331,12 @@ class Trade:
             raise outcome
 
     def judge(self) -> None:
-        """Compute the errors of all points against the closed form or the reference."""
+        """Compute the errors of all settings against the closed form or the reference."""
         for point in self.points:
             point.errors = self.errors_of(point, self.seeds)
 
     def errors_of(self, point: Point, seeds: Sequence[int]) -> list[Error]:
-        """Return the errors of a point's runs with the given seeds."""
+        """Return the errors of a setting in its runs with the given seeds."""
         found = []
         ran = sum(seed in point.results for seed in seeds)
         for each in self.quantities if ran else ():
@@ -354,7 +354,7 @@ class Trade:
         return found
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the largest error of a knob's level alone, against the finest level that ran; infinity if it failed.
+        """Return the largest error due to a knob's level, against its finest level that ran; infinity if a run failed.
 
         A difference that the scatter between seeds explains counts as zero. It is no error of the knob, and such
         differences would accumulate over all knobs.
@@ -374,7 +374,7 @@ class Trade:
         return max(found)
 
     def promised(self, point: Point) -> float:
-        """Return the error bound of a point: the measured error with its interval, or the sum of its knobs' errors.
+        """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
 
         The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
         """
@@ -385,9 +385,9 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def carried_bound(self, point: Point, variants: Sequence[Point]) -> float:
-        """Return the error bound of a point in a scene that differs as much as the variants do.
+        """Return the error bound of a setting in a scene that differs as much as the variants do.
 
-        It is the 95 % prediction interval of the next error, computed from the errors of the point and its variants.
+        It is the 95 % prediction interval of the next error, computed from the errors of the setting and its variants.
         """
         found = []
         for each in self.quantities:

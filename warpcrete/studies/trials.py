@@ -16,7 +16,7 @@ from .cluster import hardware
 from .running import heard, kept, run_cases, simulation_of
 
 FEW = 3
-"""Number of runs from which on their median wall time ignores one that also loaded kernels."""
+"""Minimum number of runs at which the median wall time ignores a single run that also loaded kernels."""
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,11 @@ READY, STOP = "ready", "stop"
 
 
 class WorkerDied(WarpcreteError):
-    """Error: a worker process ended before its case did."""
+    """Error raised when a worker process ends before its case does."""
 
 
 class NoWorker(WarpcreteError):
-    """Error: no worker process can be started."""
+    """Error raised when no worker process can be started."""
 
 
 class Crew:
