@@ -104,6 +104,28 @@ def test_stress_of_two_bodies_that_touch(device):
     assert again == pytest.approx(found, rel=1e-9)
 
 
+def test_stress_along_an_oblique_pipe_has_all_shear_components():
+    """The stress along the tangent t is t . S t, with S written as its components xx, yy, zz, xy, yz and zx."""
+    stations = Stations(
+        axis=Axis((0, 0, 0), (1, 0, 0), (Line(1.0),)), bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.5, 1.0)
+    )
+    t = np.array([1.0, 2.0, -2.0]) / 3.0
+    volume = math.pi * 0.05**2 * 0.5
+    for xx, yy, zz, xy, yz, zx in (
+        (1.0, 2.0, 3.0, 0, 0, 0),
+        (0, 0, 0, 1.0, 0, 0),
+        (0, 0, 0, 0, 1.0, 0),
+        (0, 0, 0, 0, 0, 1.0),
+    ):
+        tensor = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+        (mean, along), _ = stresses_along(
+            stations, np.array([[xx, yy, zz, xy, yz, zx]]), np.array([0.25]), t[None], np.array([0.02]),
+            np.array([True]), 0.0,
+        )  # fmt: skip
+        assert along * volume == pytest.approx(t @ tensor @ t, abs=1e-12)
+        assert mean * volume == pytest.approx(np.trace(tensor) / 3, abs=1e-12)
+
+
 def test_stress_of_a_clump_on_a_wall(device):
     """Push times branch, which goes from the clump's middle to where it touches: by way of the sphere's own."""
     contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)
