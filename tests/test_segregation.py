@@ -118,6 +118,6 @@ def test_segregation_needs_a_pipe():
 def test_segregation_is_the_difference_of_the_halves_over_their_mean():
     """The inner half of the radius is a quarter of the cross-section, the outer half three quarters."""
     series = {"aggregate_inner": np.array([0.3, 0.1]), "aggregate_outer": np.array([0.3, 0.5])}
-    found = {each.name: each.value(SimpleNamespace(series=series)) for each in QUANTITIES}
+    found = {each.name: each.of(SimpleNamespace(series=series)) for each in QUANTITIES}
     assert found["segregation_at_start"] == 0.0
     assert found["segregation"] == pytest.approx(0.4 / (0.25 * 0.1 + 0.75 * 0.5))

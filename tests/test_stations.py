@@ -106,24 +106,19 @@ def test_stress_of_two_bodies_that_touch(device):
 
 def test_stress_along_an_oblique_pipe_has_all_shear_components():
     """The stress along the tangent t is t . S t, with S written as its components xx, yy, zz, xy, yz and zx."""
-    stations = Stations(
-        axis=Axis((0, 0, 0), (1, 0, 0), (Line(1.0),)), bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.5, 1.0)
-    )
+    axis = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
+    stations = Stations(axis=axis, bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.5, 1.0))
     t = np.array([1.0, 2.0, -2.0]) / 3.0
     volume = math.pi * 0.05**2 * 0.5
-    for xx, yy, zz, xy, yz, zx in (
-        (1.0, 2.0, 3.0, 0, 0, 0),
-        (0, 0, 0, 1.0, 0, 0),
-        (0, 0, 0, 0, 1.0, 0),
-        (0, 0, 0, 0, 0, 1.0),
-    ):
+    for components in ([1.0, 2.0, 3.0, 0, 0, 0], *np.eye(6)[3:]):
+        xx, yy, zz, xy, yz, zx = components
         tensor = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
-        (mean, along), _ = stresses_along(
-            stations, np.array([[xx, yy, zz, xy, yz, zx]]), np.array([0.25]), t[None], np.array([0.02]),
-            np.array([True]), 0.0,
-        )  # fmt: skip
-        assert along * volume == pytest.approx(t @ tensor @ t, abs=1e-12)
-        assert mean * volume == pytest.approx(np.trace(tensor) / 3, abs=1e-12)
+        stress = np.array([components, np.zeros(6)])  # the second body only makes the first slice full
+        places, sizes = np.array([0.25, 0.75]), np.array([0.02, 0.02])
+        found = stresses_along(stations, stress, places, np.array([t, t]), sizes, sizes > 0, 0.0)
+        mean, along = found[0] * volume
+        assert along == pytest.approx(t @ tensor @ t, abs=1e-12)
+        assert mean == pytest.approx(np.trace(tensor) / 3, abs=1e-12)
 
 
 def test_stress_of_a_clump_on_a_wall(device):
