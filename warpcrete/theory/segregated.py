@@ -50,7 +50,7 @@ class Segregated:
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Shares of aggregate in the inner and the outer half of the radius; the inner half has a quarter of the area."""
+        """Shares of aggregate in the inner and outer half of the radius; the inner half has a quarter of the area."""
         return self.fraction * (1 - 0.75 * self.index), self.fraction * (1 + 0.25 * self.index)
 
     @property
