@@ -28,7 +28,7 @@ SHEARED: dict[str, Any] = {
 }  # fmt: skip
 """Self-compacting concrete whose slip carries only 0.7 of the flow in the paper's case."""
 LEAST_SLIP = 0.9
-"""Fraction of the mean velocity that slip must carry, or a column on a piston does not hold its volume and balance."""
+"""Minimum slip velocity, over the mean velocity, for a column on a piston to keep its volume and force balance."""
 FEWEST_ACROSS = 4
 """Minimum number of particles across a pipe when a study of accuracy against time coarsens the spacing."""
 FLOW = 1500e-6
@@ -119,7 +119,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
-        """Return the concrete with its constants."""
+        """Return the concrete that these parameters describe."""
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:

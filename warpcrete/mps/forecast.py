@@ -95,7 +95,7 @@ def step_time(simulation: Any) -> float:
     times: list[float] = []
     while sum(times) < SPENT:
         times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
-    # Other programs can only slow the steps down, and mostly do not in a long run; so the lower quartile counts.
+    # Other programs only slow steps down, and do so rarely in a long run, so the forecast uses the lower quartile.
     return float(np.quantile(times, 0.25)) / TAKEN
 
 

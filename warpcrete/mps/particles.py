@@ -122,8 +122,8 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid that preconditions the solves, or None where it is of no use.
 
-        It cannot serve rigid grains, which are larger than its cubes, nor the scheme as the paper prints it, and for
-        short columns the diagonal alone is as fast.
+        The coarse grid cannot serve rigid grains, which are larger than its cubes, nor the scheme as the paper prints
+        it. For short columns the diagonal preconditioner alone is as fast.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or self.scene.paper_scheme or layout.height < LEAST * WIDTH * layout.spacing:
@@ -203,7 +203,11 @@ class MovingParticles(Stepping):
             )
 
     def build(self) -> None:
-        """Rebuild the neighbour lists at the current positions, with longer rows if a list overflows."""
+        """Rebuild the neighbour lists at the current positions, with longer rows if a list overflows.
+
+        The lists hold all neighbours within reach plus a skin, so they last until a particle has moved about half the
+        skin.
+        """
         place, search = list_kernels(self.scalar, self.scene.dimensions, not self.parallel)
         near_reach, whole_reach = self._list_reach
         launch(
@@ -233,7 +237,7 @@ class MovingParticles(Stepping):
     # The following methods provide the stages of a step and the state for checkpoints.
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return the launch of a kernel; parameters that are not `named` are the attributes of the same names."""
+        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
@@ -256,8 +260,8 @@ class MovingParticles(Stepping):
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on.
 
-        They include the positions at which the neighbour lists were built: lists rebuilt from them have the same order,
-        and so have all sums.
+        Among the arrays are the positions at which the neighbour lists were built: lists rebuilt from these positions
+        have the same order, and so have all sums.
         """
         lists = {"built": self.fields.built.numpy(), "late": self.fields.late.numpy()}
         return self.state.state_dict() | lists

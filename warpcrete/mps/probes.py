@@ -106,6 +106,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     force = pressure * area
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
+    # The piston's force must equal weight, wall drag and the rate of change of momentum.
     residual = force - state.mass * scene.gravity - drag - change
     surface = np.array([layout.height - 0.5 * layout.spacing])
     if flow.steps:

@@ -42,7 +42,7 @@ class FlowRun(Simulation):
 
     @property
     def state(self) -> Any:
-        """State of the flow."""
+        """State of the flow, with its particles."""
         return self.flow.state
 
     def prepare(self) -> None:

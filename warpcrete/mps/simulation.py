@@ -35,7 +35,7 @@ BREAKING = 6.0
 SLIPS = 0.1
 """Slip over the mean velocity below which a run does not wait until the structure of the layer is broken."""
 BROKEN = 0.01
-"""Part of the structure gained at rest that the layer may still have in a steady flow."""
+"""Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
 APART = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
@@ -50,7 +50,7 @@ class FluidSimulation(FlowRun):
     scene: FluidScene
 
     def set_up(self) -> None:
-        """Create the watch of the flow and choose the functions that measure it."""
+        """Create the monitor of the flow and choose the functions that measure the flow."""
         super().set_up()
         self.steady = False
         self._watch = WatchedFlow(self.scene)
@@ -116,7 +116,7 @@ class FluidSimulation(FlowRun):
             return False  # the structure may break so slowly that no other quantity shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
-            # The first row has no slip layer yet. Two earlier rows must agree, because one agreement may be chance.
+            # In the first row the slip layer is not computed yet. Two earlier rows must agree: one may do so by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

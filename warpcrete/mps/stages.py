@@ -33,9 +33,9 @@ from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .state import lattice_number
 
-VELOCITY_ERROR = 1e-6  # allowed residual of the viscosity solve, over that of a velocity change by the piston's speed
-LEAST_PRESSURE = 1e-4  # factor on the pressure tolerance, for residuals over those of the piston's speed per radius
-SHIFTING = 0.1, 1e-7  # tolerance of the density solve over its initial residual, and rms residual that always suffices
+VELOCITY_ERROR = 1e-6  # tolerance of the viscosity solve, over the residual of a velocity error of piston speed
+LEAST_PRESSURE = 1e-4  # absolute over relative pressure tolerance, in residuals of a divergence of piston speed per R
+SHIFTING = 0.1, 1e-7  # relative tolerance of the density solve, and rms density error at which it stops in any case
 
 
 def step_stages(particles: Any) -> Step:
@@ -200,7 +200,7 @@ class StepPart:
 
     @property
     def size(self) -> float:
-        """Norm of a vector of ones with a row for each particle."""
+        """Norm of a vector of ones with a row for each particle, which turns an rms value into a norm."""
         return math.sqrt(self.p.count)
 
     @property
@@ -209,9 +209,10 @@ class StepPart:
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
-        """Return a solve by conjugate gradients that adds its solution to `x`.
+        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
 
-        The solve stops when the residual is below `tolerance` times the initial one, or below the norm `absolute`.
+        The solve stops when the residual is below `tolerance` times the initial one, or below the norm `absolute`. The
+        preconditioner is the matrix's diagonal, plus the coarse grid if there is one.
         """
         p, maximum = self.p, self.scene.maximum_iterations
         vector = what == VISCOSITY

@@ -1,4 +1,4 @@
-"""Watch over a flow, which stops it when its state is no longer meaningful."""
+"""Monitor of a flow, which stops the run when its state is no longer meaningful."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OF_COLUMNS = "; for concrete that is sheared, ends = periodic"
 
 
 class WatchedFlow:
-    """Check of every row of the series against the limits of the scene's `watch`."""
+    """Monitor that checks every row of the series against the limits of the scene's `watch`."""
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch

@@ -98,13 +98,15 @@ class Steady:
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
     """Return the mean velocity that shear of the bulk adds [m/s], averaged over the whole section.
 
-    `stress` is the shear stress at the wall [Pa], a number or an array.
+    `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity is
+    R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2) in a channel.
     """
     inner = line.radius - line.slip_thickness
     own = np.asarray(stress, float) * inner / line.radius
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
-    # Near x = 1 the expanded polynomials subtract nearly equal numbers. The factored forms avoid this cancellation.
+    # If the yield stress nearly equals the wall stress (x = 1), the expanded polynomials of x subtract nearly equal
+    # numbers. The factored forms avoid this cancellation.
     rest = (1 - x) ** 2
     if form == "plane":
         return inner / line.radius * inner * own / (3 * concrete.viscosity) * rest * (1 + 0.5 * x)
@@ -238,7 +240,8 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     """Return the steady state of Kaplan's two-regime model of a round pipe with a thin slip layer.
 
     While the wall bears less than the bulk's yield stress, the concrete slips as a plug. Above that it slips and
-    shears; the x^4 term of the Buckingham-Reiner law is left out (Kaplan, de Larrard & Sedran 2005).
+    shears; the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is left out (Kaplan, de
+    Larrard & Sedran 2005).
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
@@ -249,8 +252,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
         slip = (mean - drag * concrete.slip_yield + radius / (3 * concrete.viscosity) * concrete.yield_stress) / (
             1 + drag * concrete.slip_viscosity
         )
-        # Just above the yield stress the linearised law would give a negative shear flow. There the concrete only
-        # slips.
+        # Just above the yield stress the linearised law gives a negative shear flow. There the concrete only slips.
         if mean > slip:
             stress = concrete.slip_yield + concrete.slip_viscosity * slip
         else:

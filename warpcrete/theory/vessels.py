@@ -1,9 +1,9 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
-A long heap comes to rest where the plate bears the weight of its slope (Roussel & Coussot 2005). The next order of
-shallow theory adds the heap's resistance to being stretched, so the heap stops earlier (Dubash, Balmforth, Slim &
-Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has grown wide enough to bear the
-weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
+A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
+Coussot 2005). The next order of shallow theory adds the heap's resistance to being stretched, so the heap stops earlier
+(Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has
+grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
 
 Murata's concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield stress
 (Tresca). A Bingham fluid in three dimensions yields by the invariant of all stresses (von Mises), which is where the
@@ -124,7 +124,7 @@ def box_at_rest(
         """Return the volume [m3] and the depth at the near end [m]."""
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
-            # Integrate h squared, because its slope stays finite at a front, where h is zero.
+            # Integrate the square of the depth: its slope stays finite at a front, where the depth is zero.
             middle = math.sqrt(depth * depth + pull * step * (width + 2 * depth) / width)
             after = math.sqrt(depth * depth + 2 * pull * step * (width + 2 * middle) / width)
             sum += 0.5 * (depth + after) * step * width

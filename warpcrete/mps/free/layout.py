@@ -35,7 +35,7 @@ There their hat-function weights add up to those of an evenly filled cell: 0.75 
 middle of each neighbour.
 """
 FINE = {2: 8, 3: 4}
-"""Number of sample points of a cell along each axis that find the part of it filled with concrete."""
+"""Number of sample points of a cell along each axis for the fraction that concrete fills."""
 HEAVIEST = 3.0
 """Maximum mass of a particle over that of a whole one; the minimum is the inverse."""
 NEVER = 1e30

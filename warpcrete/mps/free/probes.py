@@ -95,7 +95,7 @@ def screen(flow: GridFlow) -> float:
 
 
 def box_depths(flow: GridFlow) -> dict[str, float]:
-    """Return the depths just behind the gate and at the far end of an L-box, and the front's way from the gate [m]."""
+    """Return depths behind the gate and at the far end of an L-box, and the front's distance from the gate [m]."""
     across, height = surface(flow)
     scene, half = flow.scene, 0.5 * flow.state.layout.spacing
     gate = scene.dimensions["column_width"]

@@ -20,7 +20,7 @@ from .scene import FreeScene, Points
 T500 = 0.5
 """Spread at which T500 is measured [m] (EN 12350-8)."""
 SAMPLES = 30
-"""Number of sample points along each axis that find the part of the concrete's place filled by walls."""
+"""Number of sample points along each axis for the part of the concrete's initial space that walls occupy."""
 LIGHT = 0.5
 """Filled fraction of a funnel's middle below which light is seen through the funnel."""
 
@@ -220,7 +220,7 @@ def start_volume(scene: FreeScene) -> float:
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the fraction of the concrete's initial place that walls in space leave free."""
+    """Return the fraction of the concrete's initial space that three-dimensional walls leave free."""
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

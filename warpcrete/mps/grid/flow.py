@@ -43,7 +43,7 @@ from .state import GridState, grid_numbers
 HISTORY = 256  # maximum number of iterations whose residuals are kept
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # rounding error over the flow through a cell's sides
 EXTENDED = 3  # number of cells beyond the concrete, in air and walls, to which velocities are extrapolated
-CROWDING = 0.1, 1e-5  # dispersion solve: tolerance over the initial residual, and over the residual of a whole cell
+CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances over its initial residual and that of a full cell
 SLOWEST = 0.05
 """Speed, over the typical speed of the flow, below which the error of a step is judged as if the flow were as fast."""
 FOR_EVER = 2**31 - 1  # a number of steps that no run reaches
@@ -85,8 +85,7 @@ class GridFlow(Stepping):
         kind, faces = state.layout.kind, state.layout.axes * state.slots
         self.viscous = self._system(faces, kind.velocity_neighbours)
         self.projection = self._system(state.slots, kind.pressure_neighbours)
-        # A second system with the matrix of the pressure moves particles out of crowded regions. A full pipe needs
-        # none.
+        # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does without.
         self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
@@ -224,7 +223,7 @@ class GridFlow(Stepping):
 
     @property
     def _systems(self) -> dict[int, System]:
-        """Linear systems, by what they solve for."""
+        """Linear systems of velocity, pressure and crowding, by what they solve for."""
         found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
         return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 
@@ -238,13 +237,21 @@ class GridFlow(Stepping):
         return self._step
 
     def stage(self, kernel: Any, dim: int, *, block: int | None = None, **named: Any) -> Stage:
-        """Return the launch of a kernel; parameters that are not `named` are the attributes of the same names."""
+        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
         return Stage(kernel, dim, named, self.device, block=block)
 
     def _stages(self) -> list[Any]:
+        """Return all stages of one step in their order.
+
+        1. Sort particles into cells, find how full the cells are, and gather velocities on the faces.
+        2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
+        3. Solve for the pressure increment, and remove the divergence of the velocities.
+        4. Adapt the driving force, measure the speed, break the structure, and move crowded particles apart.
+        5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
+        """
         slots, serial = self.state.slots, not self.parallel
         layout = self.state.layout
         kind, scalar = layout.kind, self.scalar
@@ -369,7 +376,7 @@ class GridFlow(Stepping):
         ]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Return a solve by conjugate gradients that adds its solution to `x`.
+        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
 
         The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
         system.

@@ -41,7 +41,7 @@ FINE = {2: 8, 3: 4}
 LINES = 8
 """Number of lines across a face or cell along which its open part is integrated."""
 PAIRS = (0, 1), (0, 2), (1, 2)
-"""Pairs of axes."""
+"""Pairs of axes, each of which spans a plane of shear."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """Signed distance from a wall [m] of points, shape (n, axes); positive where concrete may be."""
@@ -123,8 +123,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _open(_corners(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < LEAST) | (solid != NONE) | (below != NONE)
-        # Only a wall square to the axis stops the flow through a face; an inclined wall prescribes no velocity across
-        # it.
+        # Only a wall square to the axis fixes the velocity across a face; an inclined wall leaves it free.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < OFF * room.width[axis]
@@ -156,7 +155,7 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
     inner = tuple(range(-axes, 0))
     low, high = ends.min(inner), ends.max(inner)
     part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
-    # An almost closed quarter keeps a small fraction, because the wall rubs on the face behind it, which must exist.
+    # An almost closed quarter keeps a small open fraction, so that the face on which the wall's friction acts exists.
     part[cut] = np.maximum(_open(ends[cut], axes), LITTLE)
     found = []
     for first, second in PAIRS[:1] if axes == 2 else PAIRS:
@@ -175,7 +174,7 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
 def nearest_wall(
     room: Room, walls: Sequence[tuple[Distance, int]], sides: bool = True
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a function that gives distance and number of the nearest wall of points, shape (..., axes) [m].
+    """Return a function that gives distance and number of the wall nearest to points, shape (..., axes) [m].
 
     The function includes the `sides` of the room that are walls, or leaves them out.
     """
@@ -325,8 +324,8 @@ def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, in
             along = two - one
             part = np.clip((x - one) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
             nearest = np.minimum(nearest, np.linalg.norm(x - one - part[:, None] * along, axis=1))
-            # A point is inside if a ray to the right crosses an odd number of sides, whose ends lie above and below the
-            # ray.
+            # A point is inside if a ray to the right crosses an odd number of sides. A side is crossed if one of its
+            # ends lies above the ray and the other below.
             crosses = (one[1] > x[:, 1]) != (two[1] > x[:, 1])
             rise = along[1] if along[1] else 1.0
             inside ^= crosses & (x[:, 0] < one[0] + (x[:, 1] - one[1]) * along[0] / rise)

@@ -23,7 +23,7 @@ class GridLayout:
     kind: Kind
     room: Room
     solid: np.ndarray
-    """Number of the wall that fills each cell, NONE in open cells; with the frame, last axis first."""
+    """Wall number of each cell and of the frame of cells around the grid, NONE for open cells; last axis first."""
     fluid: np.ndarray
     """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
@@ -85,7 +85,7 @@ class GridLayout:
 
     @property
     def periodic(self) -> bool:
-        """True if the lower end of the grid continues at its upper end."""
+        """True if the upper and lower ends of the grid are periodic boundaries."""
         return self.kind.periodic
 
     @property
@@ -174,7 +174,10 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 
 
 def _resistance(scene: FluidScene) -> float:
-    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s]."""
+    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
+
+    The driving force of a periodic pipe uses this slope to anticipate how the wall answers a change of velocity.
+    """
     little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))
     return (more.pressure - now.pressure) / (scene.length * little * scene.velocity)

@@ -42,6 +42,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     change = 0.0
     if before is not None and flow.time > before["time"]:
         change = (momentum - before["momentum"]) / (flow.time - before["time"])
+    # The driving force must equal weight, wall drag and the rate of change of momentum.
     residual = force - mass * scene.gravity - stress * wet - change
     radius, mean = profile(flow)
     weight = radius if layout.axial else np.ones_like(radius)

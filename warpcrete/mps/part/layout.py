@@ -26,7 +26,7 @@ The inlet plane extends BEHIND cells beyond that radius.
 ABREAST = 2
 """Number of particles per cell along each axis."""
 PLACES, A_RADIUS = 200, 8
-"""Minimum number of points along the axis that find the extent of the part, and number of points for each radius."""
+"""Minimum number of points along the axis from which a part's extent is found, and points per radius of the bore."""
 
 
 class Frame:
@@ -48,11 +48,11 @@ class Frame:
         """Axes of the grid as rows, shape (3, 3)."""
 
     def inward(self, x: np.ndarray) -> np.ndarray:
-        """Return points of the scene in grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
+        """Convert points of the scene to grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
         return (x - self.end) @ self.axes.T
 
     def outward(self, x: np.ndarray) -> np.ndarray:
-        """Return points in grid coordinates in the coordinates of the scene, shape (n, 3)."""
+        """Convert points from grid coordinates to coordinates of the scene, shape (n, 3)."""
         return x @ self.axes + self.end
 
 
@@ -65,8 +65,7 @@ def part_room(scene: PartScene) -> Room:
     count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.inward(points)
-    # A circular section reaches along a grid axis by its radius times the sine of the angle between this axis and the
-    # tangent.
+    # Along a grid axis a round section reaches its radius times the sine of the angle between tangent and grid axis.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
     low, high = (places - reach).min(0) - BEHIND * h, (places + reach).max(0) + BEHIND * h
     if scene.is_half:
@@ -86,7 +85,7 @@ def bore_distance(scene: PartScene) -> Distance:
         inner = scene.inner
         return lambda x: inner.distance(frame.outward(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
-    # A cone's wall is nearer than the gap square to the axis says, by the cosine of its slope.
+    # In a cone the distance to the wall is the gap square to the axis times the cosine of the wall's slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:

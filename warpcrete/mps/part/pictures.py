@@ -12,9 +12,10 @@ from .scene import PartScene
 
 
 def plot_part(run: Run) -> Any:
-    """Return a figure of the friction still ahead along the part, and of the pressure over time.
+    """Return a figure of the frictional pressure along the part and of the pressure over time.
 
-    The friction ahead is compared with that of straight pipes by theory.
+    The frictional pressure at a place is the loss still to come downstream; that of straight pipes by theory is drawn
+    for comparison.
     """
     from matplotlib.figure import Figure
 

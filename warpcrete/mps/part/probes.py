@@ -30,7 +30,10 @@ FULL = 0.3
 
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return arc lengths [m] and the mean friction still ahead of the section there [Pa], without weight."""
+    """Return arc lengths [m] and the mean pressure without weight of the cross section there [Pa].
+
+    Without weight, the pressure is the frictional loss that is still to come downstream.
+    """
     scene: PartScene = flow.scene
     layout = flow.state.layout
     h, liquid = layout.spacing, flow.state.cells("liquid") > 0
@@ -64,9 +67,9 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 
 
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
-    """Return a table of radius, friction ahead and pressure (weight included) at arc lengths `s` [m].
+    """Return a table of the bore's radius, the friction ahead and the pressure at arc lengths `s` [m].
 
-    `friction` is the friction still ahead there [Pa].
+    The friction ahead, `friction`, is the frictional loss still to come downstream [Pa]; the pressure includes weight.
     """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})

@@ -59,7 +59,7 @@ class Section:
     """Piece of a part along its axis."""
 
     kind: str
-    """Kind of the piece: that of a line's part, such as "straight" or "bend", or "taper"."""
+    """Kind of the piece, such as "straight", "bend" or "taper"."""
     begin: float
     """Arc length at which the piece begins [m]."""
     end: float
@@ -214,8 +214,8 @@ class PartScene(Parametrised, PartSettings):
     def middle(self) -> tuple[float, float]:
         """Arc lengths between which the part is not straight pipe of constant bore [m].
 
-        The range covers the bend, the taper, or all from the first of them to the last, or the stretch where a mesh's
-        bore changes. Without any of these both values are half the length of the part.
+        The range covers bends and tapers from the first to the last, or the stretch where a mesh's bore changes.
+        Without any of these both values are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
