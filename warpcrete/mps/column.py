@@ -258,7 +258,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"{100 * result['volume_error']:+.3f} % at most"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force"),
     }  # fmt: skip
-    if scene.gained:  # no closed form covers structure that partly survives in the bulk
+    if scene.gained:  # closed-form theory does not cover structure that partly survives in the bulk
         found = {name: found[name] for name in ("volume", "balance of forces")}
         peak, least, most = number(result["restart_pressure"]), scene.theory().pressure, all_slip(scene).pressure
         # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.

@@ -35,7 +35,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
         return simulation
 
     between = max(1, round(scene.sample_interval / scene.time_step))  # steps between two samples
-    loading = begun()  # loads the kernels, so that later timings do not include it
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(min(between, TAKEN))
     loading.release()
     simulation, placing = timed(begun, device)

@@ -24,7 +24,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     """Return a concrete by name or from a file, or `own` with all five :data:`CONSTANTS`.
 
     Given constants replace those of the named concrete. A slip layer whose thickness [m] is in the paper's Table 3
-    takes the eta_L printed there. Raises :class:`SceneError` for missing constants or another thickness.
+    takes the eta_L printed there. Raises :class:`SceneError` if constants are missing, also that of the layer.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
@@ -63,7 +63,7 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
     """Return share, density and mortar of the coarse aggregate of the concrete file that a scene's parameters name.
 
-    The result is empty unless the scene has two phases and the file describes a mix.
+    The result is empty unless the scene has two phases, the file describes a mix, and a value is missing.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

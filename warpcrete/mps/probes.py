@@ -40,7 +40,7 @@ UNITS = {
     "aggregate_front": "1",
     "aggregate_rear": "1",
 }
-"""Units of the columns of the series."""
+"""Units of the columns of the time series."""
 
 
 @dataclass(frozen=True)

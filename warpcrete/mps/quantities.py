@@ -26,7 +26,7 @@ class Known:
 
     scene: FluidScene
     series: dict[str, np.ndarray]
-    """Columns of the series, with two rows or more."""
+    """Columns of the time series, with two rows or more."""
     theory: Steady
 
     @property

@@ -77,7 +77,7 @@ class FlowRun(Simulation):
 
     def release(self) -> None:
         """Release the device memory; the results of the run stay."""
-        for name in ("flow", "stepper"):  # a run may have failed before it created them
+        for name in ("flow", "stepper"):  # a run that failed early may lack these attributes
             self.__dict__.pop(name, None)
 
     def series(self) -> dict[str, np.ndarray]:

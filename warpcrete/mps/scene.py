@@ -23,7 +23,7 @@ ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 MOST_PARTICLES = 2**26
 """Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
-SHORTEST = 8  # minimum length of a column in spacings; piston and surface disturb all of a shorter one
+SHORTEST = 8  # minimum length of a column in spacings; piston and surface disturb a shorter column everywhere
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ class FluidScene(Parametrised, FlowSettings):
     velocity: float
     """Velocity of the piston [m/s]."""
     spacing: float
-    """Wanted particle distance [m]; the nearest one that divides the channel's width or the tube's radius is used."""
+    """Wanted particle distance [m]; the nearest value that divides the channel's width or the tube's radius is used."""
     aggregates: Aggregates | None = None
     watch: FlowWatch = field(default_factory=FlowWatch)
     published: Mapping[str, float] = field(default_factory=dict)

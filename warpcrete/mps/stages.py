@@ -33,9 +33,15 @@ from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .state import lattice_number
 
-VELOCITY_ERROR = 1e-6  # tolerance of the viscosity solve, over the residual of a velocity error of piston speed
-LEAST_PRESSURE = 1e-4  # absolute over relative pressure tolerance, in residuals of a divergence of piston speed per R
-SHIFTING = 0.1, 1e-7  # relative tolerance of the density solve, and rms density error at which it stops in any case
+VELOCITY_ERROR = 1e-6
+"""Tolerance of the viscosity solve, over the residual that a velocity error of the piston's speed would cause."""
+LEAST_PRESSURE = 1e-4
+"""Absolute tolerance of the pressure solve over its relative tolerance.
+
+The absolute tolerance is a fraction of the residual of a divergence of the piston's speed over the radius.
+"""
+SHIFTING = 0.1, 1e-7
+"""Relative tolerance of the density solve, and the rms residual at which the solve stops in any case."""
 
 
 def step_stages(particles: Any) -> Step:

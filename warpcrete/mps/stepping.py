@@ -25,7 +25,7 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # steps: for one CPU thread, several threads, a GPU
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # maximum number of steps of a graph
 LAUNCH = 4  # number of largest graphs that are launched between two reads of the flags
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 ABREAST = 64

@@ -64,10 +64,10 @@ def heap_depth(
 def heap_at_rest(
     volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> tuple[float, float]:
-    """Return the radius [m] and the central depth [m] of a wide heap that resists being stretched, without inertia.
+    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists being stretched.
 
     `volume` is that of the whole heap about an axis [m3], or of one half per metre of depth in a plane [m2]. The theory
-    holds for heaps wider than high.
+    leaves out inertia and holds for heaps wider than high.
     """
     widest = 1.0
     while heap_volume(widest, yield_stress, density, gravity, form) < volume:

@@ -30,7 +30,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
         simulation.prepare()
         return simulation
 
-    loading = begun()  # loads the kernels, so that later timings do not include it
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(TAKEN)
     loading.release()
     duration, mean, remarks = _course(scene, str(device), precision)
@@ -74,7 +74,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 
 def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float, list[str]]:
     """Return the simulated time until rest or until a funnel is empty [s], the mean time step [s], and remarks."""
-    # By default the step is estimated as the time in which concrete falling by its own height crosses one cell.
+    # The default estimate of the step is the time in which concrete crosses one cell after a fall by its own height.
     swift = scene.spacing / math.sqrt(2 * scene.gravity * scene.extent[1, 1])
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
     if scene.test == "funnel":

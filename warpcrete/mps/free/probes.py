@@ -21,7 +21,7 @@ UNITS = {
     "time_step": "s",
     "steps": "1",
 }
-"""Units of the columns of the series."""
+"""Units of the columns of the time series."""
 MORE = {
     "funnel": {"screen": "1"},
     "lbox": {"near_depth": "m", "far_depth": "m", "front": "m"},

@@ -31,7 +31,7 @@ class Known:
 
     scene: FreeScene
     series: dict[str, np.ndarray]
-    """Columns of the series, with two rows or more."""
+    """Columns of the time series, with two rows or more."""
     volume: float
     """Initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian."""
 

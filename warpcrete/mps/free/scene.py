@@ -74,7 +74,7 @@ class FreeScene(Parametrised, FreeSettings):
     height: float
     """Height of the room [m]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest one that divides the width of the room is used."""
+    """Wanted width of the cells [m]; the nearest width that divides that of the room is used."""
     outline: Points
     """Polygon that the concrete fills at the start, except where there are walls."""
     depth: float = 0.0

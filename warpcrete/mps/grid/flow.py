@@ -41,7 +41,7 @@ from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # maximum number of iterations whose residuals are kept
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # rounding error over the flow through a cell's sides
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # relative rounding error of the flow through a cell's sides
 EXTENDED = 3  # number of cells beyond the concrete, in air and walls, to which velocities are extrapolated
 CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances over its initial residual and that of a full cell
 SLOWEST = 0.05

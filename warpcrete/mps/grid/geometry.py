@@ -81,7 +81,7 @@ class Room:
     """Kinds of the lower and the upper side along each axis: WALL, MIRROR or BARE."""
 
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
-        """Return points [m] of all cells and the frame, each `shift` cell widths from the cell's lowest corner.
+        """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
 
         The shape is (cells + 2 + more, axes), with `more` additional points along each axis.
         """

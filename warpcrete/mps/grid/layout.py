@@ -122,7 +122,7 @@ class GridLayout:
 
 @dataclass(frozen=True)
 class Motion:
-    """Rigid-body motion of a wall along its own surface."""
+    """Rigid-body velocity that a wall imposes on the concrete; the wall keeps its place on the grid."""
 
     velocity: tuple[float, ...]
     """Velocity of the wall [m/s]."""

@@ -22,7 +22,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         simulation.prepare()
         return simulation
 
-    loading = begun()  # loads the kernels, so that later timings do not include it
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(TAKEN)
     loading.release()
     duration, remarks = _duration(scene, str(device), precision)

@@ -61,7 +61,7 @@ def part_room(scene: PartScene) -> Room:
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    # A long part needs more points, so that a turn is sampled where it reaches farthest.
+    # A long part needs more points, so that every bend is sampled where it reaches farthest.
     count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.inward(points)
@@ -85,7 +85,7 @@ def bore_distance(scene: PartScene) -> Distance:
         inner = scene.inner
         return lambda x: inner.distance(frame.outward(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
-    # In a cone the distance to the wall is the gap square to the axis times the cosine of the wall's slope.
+    # In a cone the distance to the wall is the gap, measured square to the axis, times the cosine of the slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:
@@ -163,7 +163,7 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     for axis in range(3):
         area = room.width[0] ** 2
         shut = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
-        above = np.roll(liquid, 1, 2 - axis)  # arrays have the last axis first
+        above = np.roll(liquid, 1, 2 - axis)  # the arrays have their last axis first
         total += float(np.sum(shut * liquid) - np.sum(shut * above))
     return total
 

@@ -23,7 +23,7 @@ UNITS = {
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
 }
-"""Units of the columns of the series."""
+"""Units of the columns of the time series."""
 
 FULL = 0.3
 """Minimum volume of the cells in a slice of the part, over the volume of the slice, for the slice to count."""
@@ -117,7 +117,7 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # A face on the open side stands for half a cell of concrete, so volume over half a spacing is its area.
+    # A face on the open side stands for half a cell of concrete; its area is this volume over half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

@@ -19,7 +19,7 @@ class Known:
 
     scene: PartScene
     series: dict[str, np.ndarray]
-    """Columns of the series, with two rows or more."""
+    """Columns of the time series, with two rows or more."""
 
     def last(self, name: str) -> float:
         """Return the last value of a column."""

@@ -91,7 +91,7 @@ class PartScene(Parametrised, PartSettings):
     flow: float
     """Volume flow [m3/s]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest one that divides the radius at the start is used."""
+    """Wanted width of the cells [m]; the nearest width that divides the radius at the start is used."""
     parts: tuple[Section, ...] = ()
     """Parts of a line whose losses are reported; if empty, they follow from axis and bores."""
     wall: MeshWall | None = None
