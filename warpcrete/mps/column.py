@@ -28,7 +28,7 @@ SHEARED: dict[str, Any] = {
 }  # fmt: skip
 """Self-compacting concrete whose slip carries only 0.7 of the flow in the paper's case."""
 LEAST_SLIP = 0.9
-"""Minimum slip velocity, over the mean velocity, for a column on a piston to keep its volume and force balance."""
+"""Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
 FEWEST_ACROSS = 4
 """Minimum number of particles across a pipe when a study of accuracy against time coarsens the spacing."""
 FLOW = 1500e-6
@@ -223,7 +223,7 @@ WALL_ACCURACY = {True: 0.05, False: 0.03}
 Weight dominates the pressure and would hide an error of the wall stress there.
 """
 PROFILE_ACCURACY = 0.01
-"""Accepted root mean square error of the velocity profile over the mean velocity."""
+"""Accepted root mean square error of the velocity profile, relative to the mean velocity."""
 
 
 CURES = {

@@ -25,7 +25,7 @@ from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 from .stepping import Stepping
 
-SKIN = 0.1  # skin of the neighbour lists over the spacing; the column moves as a whole, so lists last some eighty steps
+SKIN = 0.1  # skin of the neighbour lists in spacings; the column moves as a whole, so lists last some eighty steps
 CORRECTION = 0.2  # fraction of the density error that one step removes
 HISTORY = 256  # maximum number of iterations whose residuals are kept
 

@@ -11,13 +11,13 @@ from ..theory.pipe import velocity
 from .particles import MovingParticles
 
 MIDDLE = (0.4, 0.6)
-"""Range of heights, over that of the column, in which slip velocity and profile are measured."""
+"""Range of heights, relative to the column's height, in which slip velocity and profile are measured."""
 STRAIGHT = (0.2, 0.8)
-"""Range of heights, over that of the column, in which the pressure gradient is measured."""
+"""Range of heights, relative to the column's height, in which the pressure gradient is measured."""
 LOWEST = 0.1
-"""Height, over that of the column, up to which pressures are fitted and extrapolated to the piston."""
+"""Height, relative to the column's, up to which pressures are fitted and extrapolated to the piston."""
 WINDOW = (0.65, 0.85)
-"""Heights, over that of the column, between which the window of the volume measurement falls from one to zero."""
+"""Heights, relative to the column's, between which the weight in the volume measurement falls from one to zero."""
 UNITS = {
     "time": "s",
     "travel": "m",

@@ -29,11 +29,11 @@ LONGEST = 2.0  # simulated time [s] after which a flow that does not become stea
 SETTLES = 0.03
 """Typical simulated time until a flow is steady [s]."""
 PROFILES = (0.2, 0.5, 0.8)
-"""Heights of the velocity profiles in the result, over that of the column (Xu et al. 2021, Fig. 18)."""
+"""Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
 BREAKING = 6.0
-"""Maximum duration of a flow over the time in which slip breaks the layer's structure down to 1/e."""
+"""Maximum duration of a flow, in units of the time in which slip breaks the layer's structure down to 1/e."""
 SLIPS = 0.1
-"""Slip over the mean velocity below which a run does not wait until the structure of the layer is broken."""
+"""Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
 BROKEN = 0.01
 """Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
 APART = 5e-3

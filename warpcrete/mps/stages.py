@@ -34,11 +34,11 @@ from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .state import lattice_number
 
 VELOCITY_ERROR = 1e-6
-"""Tolerance of the viscosity solve, over the residual that a velocity error of the piston's speed would cause."""
+"""Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
 LEAST_PRESSURE = 1e-4
-"""Absolute tolerance of the pressure solve over its relative tolerance.
+"""Ratio of the absolute to the relative tolerance of the pressure solve.
 
-The absolute tolerance is a fraction of the residual of a divergence of the piston's speed over the radius.
+The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
 """
 SHIFTING = 0.1, 1e-7
 """Relative tolerance of the density solve, and the rms residual at which the solve stops in any case."""

@@ -17,9 +17,9 @@ from .layout import Layout, layout
 from .scene import FluidScene
 
 CUTOFF = 2.1
-"""Reach of gradient, divergence and Laplacian over the spacing (Xu et al. 2021 use 2.1 and 4.1)."""
+"""Reach of gradient, divergence and Laplacian in particle spacings (Xu et al. 2021 use 2.1 and 4.1)."""
 WIDE = 3.1
-"""Reach of the density sum over the spacing."""
+"""Reach of the density sum in particle spacings."""
 
 
 class FluidState:
@@ -134,8 +134,8 @@ GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is that of the neighbour lists over the spacing, `correction` the fraction of the density error that a step
-    removes.
+    `skin` is that of the neighbour lists in particle spacings, `correction` the fraction of the density error that a
+    step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()

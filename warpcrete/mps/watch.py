@@ -9,7 +9,7 @@ from ..theory.pipe import velocity
 from .scene import FluidScene
 
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
-"""Columns that must be finite in every row."""
+"""Columns of the time series that must be finite in every row."""
 CURES = "a smaller time step, a finer spacing, precision float64"
 OF_COLUMNS = "; for concrete that is sheared, ends = periodic"
 

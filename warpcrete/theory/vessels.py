@@ -37,13 +37,13 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap at rest to being stretched, over yield stress and depth, in a plane and about an axis.
+"""Resistance of a heap to being stretched, in units of yield stress times depth, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest, sqrt(tau^2 -
-shear^2), whose mean over the depth is pi / 4 tau. In a plane the normal stresses are s and -s, which doubles this mean.
-About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s upwards, with 3 s^2
-+ shear^2 = tau^2; this multiplies the mean by sqrt(3).
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
+sqrt(tau^2 - shear^2), whose mean over the depth is (pi / 4) tau. In a plane the normal stresses are s and -s, which
+doubles this mean. About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s
+upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
 """
 
 

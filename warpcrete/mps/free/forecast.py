@@ -17,7 +17,7 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 LONGER = 1.2
-"""Emptying time of a funnel over its estimate, which leaves out stretching in the taper; 1.0 to 1.3 were measured."""
+"""Ratio of a funnel's emptying time to its estimate, which ignores stretching in the taper; measured 1.0 to 1.3."""
 COARSE = 12
 """Number of cells over the concrete's initial height in the coarser copy."""
 

@@ -29,7 +29,7 @@ from .scene import SIDES, FreeScene
 ABREAST = {2: 3, 3: 2}
 """Number of particles per cell along each axis, by number of axes; a free surface needs more than a pipe does."""
 THREE = 0.125, 0.5, 0.875
-"""Positions of three particles along a cell, over its width.
+"""Positions of three particles along a cell, in cell widths.
 
 There their hat-function weights add up to those of an evenly filled cell: 0.75 about its own middle and 0.125 about the
 middle of each neighbour.
@@ -37,7 +37,7 @@ middle of each neighbour.
 FINE = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for the fraction that concrete fills."""
 HEAVIEST = 3.0
-"""Maximum mass of a particle over that of a whole one; the minimum is the inverse."""
+"""Maximum mass of a particle, relative to a whole particle; the minimum is the inverse."""
 NEVER = 1e30
 """Opening time of cells that never open [s]."""
 
@@ -96,7 +96,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return particles where there is concrete [m], shape (n, axes), and their masses over that of a whole one.
+    """Return positions of particles in the concrete [m], shape (n, axes), and masses relative to a whole particle.
 
     The particles of a cell together have the mass of the concrete in the cell.
     """

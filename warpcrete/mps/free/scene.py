@@ -70,9 +70,9 @@ class FreeScene(Parametrised, FreeSettings):
     axial: bool
     """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
     width: float
-    """Width of the room [m]."""
+    """Width of the simulated room, the box around the vessel [m]."""
     height: float
-    """Height of the room [m]."""
+    """Height of the simulated room [m]."""
     spacing: float
     """Wanted width of the cells [m]; the nearest width that divides that of the room is used."""
     outline: Points

@@ -43,9 +43,9 @@ from .state import GridState, grid_numbers
 HISTORY = 256  # maximum number of iterations whose residuals are kept
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # relative rounding error of the flow through a cell's sides
 EXTENDED = 3  # number of cells beyond the concrete, in air and walls, to which velocities are extrapolated
-CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances over its initial residual and that of a full cell
+CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances relative to its initial residual and to a full cell
 SLOWEST = 0.05
-"""Speed, over the typical speed of the flow, below which the error of a step is judged as if the flow were as fast."""
+"""Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
 FOR_EVER = 2**31 - 1  # a number of steps that no run reaches
 
 
@@ -180,7 +180,7 @@ class GridFlow(Stepping):
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
             if name not in ("near_capacity", "bound", "grains", "coarse"):
-                # The solver would bind velocity vectors to walls through drag and position. Here both arrays stay zero.
+                # Only particle flows bind velocities to walls through drag and position; here both arrays stay zero.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
         numbers = flow_struct(self.scalar)()
@@ -320,7 +320,7 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Norm of a vector of ones with a row for each cell that the particles fill at the start."""
+        """Norm of a vector of ones with a row for each initially full cell, which turns an rms value into a norm."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.mark_spacing / layout.spacing) ** layout.axes, 1.0))
 

@@ -33,8 +33,8 @@ LEAST = 0.01
 ALIGNED, OFF = 0.999, 0.01
 """Limits for a face that is a side of an aligned wall.
 
-ALIGNED is the minimum cosine between the wall's normal and the axis, OFF the maximum distance from the wall over a
-cell's width.
+ALIGNED is the minimum cosine between the wall's normal and the axis, OFF the maximum distance from the wall in cell
+widths.
 """
 FINE = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for its open volume; even, so that flat walls are exact."""
@@ -93,7 +93,7 @@ class Room:
 
 
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
-    """Return the geometry that walls leave of a room.
+    """Return the open parts of cells, faces and edges that walls leave of a box of cells.
 
     `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
     If `axial`, the room is a section whose volumes are weighted by the radius.
@@ -257,7 +257,7 @@ def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
     inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
-    away = (np.arange(half) + 0.5) / fine  # distance from the middle of a cell, over its width
+    away = (np.arange(half) + 0.5) / fine  # distance from the middle of a cell, in cell widths
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
         # Select the sample points on this side of the middle along each axis, from the middle outward.

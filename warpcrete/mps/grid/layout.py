@@ -27,7 +27,7 @@ class GridLayout:
     fluid: np.ndarray
     """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
-    """Mass of each particle over the mean mass, shape (n,)."""
+    """Mass of each particle, relative to the mean mass, shape (n,)."""
     mark_spacing: float
     """Distance of particles [m]."""
     slip: tuple[float, float]

@@ -31,7 +31,7 @@ SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
 """Memory of a cell with its faces, system rows and particles [bytes], in single precision, by number of axes."""
 
 FIRST = 0.01
-"""Length of the first step over the longest one, if steps adapt to the flow."""
+"""Length of the first step, relative to the longest one, if steps adapt to the flow."""
 
 
 class GridState:

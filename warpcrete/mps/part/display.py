@@ -64,7 +64,7 @@ class PartDisplay(Display):
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return speed [m/s] and pressure without weight [Pa] of the drawn particles."""
+        """Return speed [m/s] and pressure, weight left out [Pa], of the drawn particles."""
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
         return {name: np.tile(values[self._chosen], len(self._images)) for name, values in found.items()}

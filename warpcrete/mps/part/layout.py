@@ -19,7 +19,7 @@ from .scene import PartScene
 INLET = ROUGH + 1
 """Wall number of the plane through which concrete enters."""
 BEHIND, BESIDE = 2, 1.5
-"""Cells of the room around the bore (BEHIND), and radius of the inlet plane over that of the bore (BESIDE).
+"""Number of cells of the room around the bore (BEHIND), and radius of the inlet plane in bore radii (BESIDE).
 
 The inlet plane extends BEHIND cells beyond that radius.
 """
@@ -152,7 +152,7 @@ def part_layout(scene: PartScene) -> GridLayout:
 
 
 def _area(geometry, room: Room, way: np.ndarray) -> float:
-    """Return the area of the inlet plane as the cells represent it [m2]: the inflow over the plane's speed.
+    """Return the area of the inlet plane as the cells represent it [m2]: the inflow divided by the plane's speed.
 
     The unit vector `way` is the plane's normal.
     """

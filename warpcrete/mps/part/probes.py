@@ -26,7 +26,7 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum volume of the cells in a slice of the part, over the volume of the slice, for the slice to count."""
+"""Minimum fraction of a slice's volume that its cells must hold for the slice to count."""
 
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,7 @@ FEWEST = 6
 CLEAR, LEFT = 1.0, 4
 """Limits for the straight stretches in which friction is measured.
 
-CLEAR is the length of pipe over its radius that is left out next to an end or the middle of a part. LEFT is the minimum
+CLEAR is the length of pipe, in radii, that is left out next to an end or the middle of a part. LEFT is the minimum
 number of cells that must remain.
 """
 ROUND = 0.03
@@ -56,7 +56,7 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """Piece of a part along its axis."""
+    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
     """Kind of the piece, such as "straight", "bend" or "taper"."""
