@@ -139,20 +139,20 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # chunks
+        # Input: chunks of this thread, and the barrier of all threads.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),

@@ -64,16 +64,16 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         viscous: Solve,
@@ -145,16 +145,16 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -219,16 +219,16 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # read and written
+        # Input and output: arrays that are read and written.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

@@ -28,18 +28,18 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def weights(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
         reach: scalar,
         laplacian_number: scalar,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
     ):
         if flags[HALTED] != 0:
@@ -74,16 +74,16 @@ def source_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def source(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -138,16 +138,16 @@ def projection_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # read and written
+        # Input and output: arrays that are read and written.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

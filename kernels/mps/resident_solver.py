@@ -142,17 +142,17 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # blocks
+        # Input: number of blocks, and their barrier.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),

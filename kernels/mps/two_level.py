@@ -74,20 +74,20 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # chunks
+        # Input: chunks of this thread, and the barrier of all threads.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
@@ -233,17 +233,17 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # blocks
+        # Input: number of blocks, and their barrier.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
