@@ -75,7 +75,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Entries per capacity, in per mille: this one number shows how much capacity the fullest of the three rows needs.
+        # Entries over capacity, in per mille: one number shows how much more capacity the fullest of the rows needs.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

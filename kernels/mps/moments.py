@@ -143,7 +143,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
     @wp.func
     def open_above(i: wp.int32, flow: Flow, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
-        """Return 1 if no fluid lies above a particle within the reach of the lists and about 45 degrees of the vertical.
+        """Return 1 if no fluid lies above a particle, within the reach of its lists and 45 degrees of the upward axis.
 
         A particle below a hole inside the fluid is not at a free surface: it has fluid on the other side of the hole.
         """
