@@ -15,7 +15,7 @@ from .cells import cells_struct
 
 @functools.cache
 def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """Build the functions of the law: the viscosity as a function of the rate, and the rate as a function of the stress.
+    """Build the functions of the law: viscosity as a function of the rate, and rate as a function of the stress.
 
     `apparent` follows the regularised law. `rate_of` replaces its inverse by two straight lines, one below and one
     above the yield stress; `rate_slope` is its derivative, and `once` and `twice` are its first and second integrals.

@@ -33,7 +33,7 @@ LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can fl
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
 INSIDE = wp.constant(3)  # Face inside a wall.
 ROUGH = wp.constant(4)  # Number of the wall that concrete sticks to; walls with higher numbers move.
-GHOST = wp.constant(4)  # Face inside a wall that belongs to a cell or an edge with some open volume.
+GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
 # Slots of the array `drive`, which holds the force that drives the flow of a periodic pipe.
 FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
 ACTED = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
@@ -353,7 +353,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def shear(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32):
-        """Return the shear rate at an edge [1/s] and the volume of concrete that belongs to it; both are 0 in the air."""
+        """Return the shear rate at an edge [1/s] and the volume of concrete that belongs to it; both 0 in the air."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
         here, left, below = at(g, c), at(g, moved(c, a, -1)), at(g, moved(c, b, -1))
