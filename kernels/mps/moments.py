@@ -40,7 +40,10 @@ def rheology_functions(scalar, dimensions: int):
 
     @wp.func
     def apparent(flow: Flow, rate: scalar):
-        """Return the apparent viscosity (Xu, Li & Jiang 2021, Eq. 15) and the derivative of stress by rate [Pa s]."""
+        """Return the apparent viscosity and the derivative of the stress with respect to the rate, both in [Pa s].
+
+        The law is Eq. 15 of Xu, Li & Jiang 2021.
+        """
         viscosity = flow.viscosity
         bent_rate = flow.regularisation * rate
         fall = wp.exp(-bent_rate)
@@ -79,7 +82,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         above: scalar  # First moment of all neighbours' relative positions along the pipe.
         slope: t.vec  # Moments of the fluid neighbours' pressure differences with their relative positions.
         rise: scalar  # Weighted sum of the fluid neighbours' pressure differences.
-        wall: scalar  # Viscous exchange of the particle with the wall, per stress of the wall.
+        wall: scalar  # Viscous force of the wall particles on the particle, per stress of the wall.
         inside: scalar  # Distance of the particle from the wall [m].
 
     @wp.func
@@ -136,8 +139,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # The velocity behind the wall continues with its slope at the wall. The viscous exchange of this
-                    # pair is then the wall's stress times the following term.
+                    # Behind the wall the velocity is continued with its slope at the wall. The viscous force of the
+                    # wall particle is then the wall's stress times the following term.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
@@ -192,7 +195,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # Output; the residual of the solve that shifts particles is the error of the density.
+        # Output: arrays that are written. The residual of `shifting` becomes the error of the density.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,

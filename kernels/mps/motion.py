@@ -13,10 +13,10 @@ CROWDED = wp.constant(0.95)
 
 @functools.cache
 def shift_kernel(scalar, dimensions: int, serial: bool):
-    """Build the kernel that computes displacements in addition to the motion with the velocity.
+    """Build the kernel that computes extra displacements of the particles, which change no velocities.
 
-    They move particles out of crowded regions, down the gradient of a potential, and push close pairs apart. They
-    change no velocities.
+    These displacements move particles out of crowded regions, down the gradient of a potential, and push close pairs
+    apart.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

@@ -32,7 +32,7 @@ def wall_law_function(scalar, dimensions: int):
         """Return `force` with the slip layer's force added, the layer's resistance, and the wall's shear stress [Pa].
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area over the particle's volume [1/m]. The
-        resistance is the derivative of the layer's force by the particle's velocity [kg/m3/s].
+        resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -108,9 +108,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 laplacian = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
                 if wp.static(two_phase):
-                    # If one particle of a pair belongs to a grain, only half of their distance is deformable mortar,
-                    # which doubles the coefficient. Two different grains count as separated by mortar too. Nothing is
-                    # sheared inside a grain.
+                    # If one particle of a pair belongs to a rigid grain, only half of their distance is mortar that can
+                    # be sheared, which doubles the coefficient. The space between two grains counts as mortar too.
+                    # Nothing is sheared inside a grain.
                     if i < matrix.bound:
                         if j >= matrix.bound:
                             c = laplacian * scalar(2.0) * other

@@ -20,7 +20,7 @@ LAPLACIAN = 4.1
 
 @functools.cache
 def weights_kernel(scalar, dimensions: int, serial: bool):
-    """Build the kernel that, after the geometry, sets the pair weights of the printed Laplacian and no prediction."""
+    """Build the kernel that sets the pair weights of the printed Laplacian, and a predicted pressure of zero."""
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)

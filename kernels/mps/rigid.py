@@ -113,7 +113,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """Return the moment about `centre` of the vectors `borne`, minus their `mean`, which has no moment itself."""
+        """Return the moment about `centre` of vectors at the particles, of which the uniform `mean` has no moment."""
         sum = vec3()
         for i in range(begin, end):
             sum += wp.cross(raised(place[i] - centre), raised(borne[i] - mean))

@@ -102,12 +102,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
         wall_scale: wp.array(dtype=wp.float64)  # Factor that scales the sum of wall areas to the true area, shape (1,).
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
-        compliance: wp.array(dtype=scalar)  # Velocity difference from wall to particle per wall stress [m/s/Pa].
+        compliance: wp.array(dtype=scalar)  # Velocity difference between particle and wall per wall stress [m/s/Pa].
         predicted: wp.array(dtype=scalar)  # Filtered pressure of the previous step, the prediction [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (n,).
         potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
-        moved: wp.array(dtype=t.vec)  # Displacement of this step in addition to that by the velocity [m], shape (n,).
+        moved: wp.array(dtype=t.vec)  # Extra displacement of this step, not caused by the velocity [m], shape (n,).
         built: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
         late: wp.array(dtype=wp.int32)  # Flags for stale neighbour lists (slot 0) and a lost particle (1), shape (2,).
 
@@ -130,7 +130,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         count: wp.int32  # Number of cubes of the coarse grid.
         wide: wp.int32  # Number of cubes across the pipe, at least 3.
         of: wp.array(dtype=wp.int32)  # Cube of each particle, shape (n,).
-        first: wp.array(dtype=wp.int32)  # Begin of each cube in `member`, then the end of the last, shape (count + 1,).
+        first: wp.array(dtype=wp.int32)  # Start of each cube in `member`, then the end of the last, shape (count + 1,).
         member: wp.array(dtype=wp.int32)  # Particles sorted by cube, shape (n,).
         neighbour: wp.array(dtype=wp.int32)  # Cubes around each cube, -1 where there is none, shape (3^d * count,).
         # Coupling of a cube with the cubes around it, shape (3^d * count,). The middle slot, which is the cube itself,
@@ -144,7 +144,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         near_capacity: wp.int32  # Maximum number of entries in a row of the matrix.
         near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of the matrix, shape (n,).
         near: wp.array(dtype=wp.int32)  # Column of each entry of the matrix, shape (n * near_capacity,).
-        coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of `near`.
+        coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
         drag: wp.array(dtype=scalar)  # Resistance of the wall to motion along it [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
@@ -164,7 +164,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             change: wp.array(dtype=value)  # Last change of the coarse solution, shape (cubes,).
             inner: wp.array(dtype=wp.float64)  # Product of load and coarse solution in each cube, shape (cubes,).
-            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for three sums in turn.
+            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             least: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
             outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
             history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.

@@ -158,8 +158,8 @@ def breakage(device, precision) -> list[Row]:
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
-        # The load grows by 5e-4 of its final value per step, which limits the accuracy. Without shear and in double
-        # precision the breakage coincides with the end of a step, and the load is exact.
+        # The load grows by 5e-4 of its final value per step, which limits the accuracy. In double precision, loads
+        # other than shear reach the strength exactly at the end of a step, and the error is smaller.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
             Row(

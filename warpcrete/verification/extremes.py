@@ -31,7 +31,7 @@ AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one scene."""
+    """Result of running one scene with extreme parameters."""
 
     name: str
     stopped: str
@@ -209,7 +209,7 @@ def _million() -> Scene:
 
 
 def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]:
-    """Run every scene and return the results."""
+    """Run all scenes with extreme parameters and return the results."""
     return [outcome(name, make(), device, precision, steps) for name, make, steps in scenes(large)]
 
 

@@ -35,7 +35,7 @@ Case = tuple[str, Callable[[], FluidScene], int]
 
 @dataclass(frozen=True)
 class FlowOutcome:
-    """Result of one flow."""
+    """Result of running one flow with extreme parameters."""
 
     name: str
     stopped: str
@@ -200,7 +200,7 @@ def _singles(prefix: str, d: int) -> Iterator[Case]:
 
 
 def matrix(device: str, precision: str) -> list[FlowOutcome]:
-    """Run every flow and return the results."""
+    """Run all flows with extreme parameters and return the results."""
     return [outcome(name, make, device, precision, steps) for name, make, steps in scenes()]
 
 

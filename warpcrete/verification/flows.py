@@ -1,6 +1,6 @@
 """Verification of pipe flows of a Bingham fluid with a slip layer against closed forms.
 
-The flows are computed by moving particles, and on a grid.
+The method of moving particles and the flow on a grid are both verified.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def dam_break(device: str, precision: str) -> list[Row]:
     simulation = FreeSimulation(let_go(0.0, 0.6, 8.0), device=device, precision=precision)
     run = simulation.run()
     paste, found = simulation.scene.concrete, []
-    # Measured errors: 2.1, 2.0 and 0.5 %. Cells of half the size give the same result. The theory assumes a thin layer,
-    # but the front is as thick as it is long.
+    # Measured errors: 2.1, 2.0 and 0.5 %. Cells of half the size give the same result: the theory assumes a thin layer,
+    # which the steep front is not.
     for time in (4.0, 8.0):
         front = float(np.interp(time, run.series["time"], run.series["spread"]))
         theory = viscous_front(HALF[0] * HALF[1], paste.viscosity, paste.density, time)

@@ -42,7 +42,7 @@ LAWS: dict[str, ContactLaw] = {
 
 
 def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
-    """Return scene and bodies of a dense packing of 120 bodies in a short pipe; they overlap by a tenth of a radius."""
+    """Return scene and bodies of a dense packing of about 120 bodies, squeezed into a pipe by a tenth of a radius."""
     fill = Fill(
         container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
     )
@@ -100,7 +100,7 @@ def bonded_pair() -> Scene:
 
 
 def limits(device, precision) -> list[Row]:
-    """Find the largest time step, over the estimated stable step, at which the energy does not grow.
+    """Find the largest time step, as a multiple of the estimated stable step, at which the energy does not grow.
 
     Several fractions of the estimate are tried for every contact law and shape of bodies. The estimate must be safe for
     all of them.

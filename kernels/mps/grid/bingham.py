@@ -113,9 +113,10 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beside_wall(g: Cells, stress: scalar, inner: scalar, width: scalar):
-        """Return a wall cell's mean velocity minus the velocity at the wall, and its derivative by the wall's stress.
+        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
 
-        The stress falls linearly from `stress` at the wall to `inner` on the cell's opposite side.
+        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
+        `inner` on the cell's opposite side.
         """
         change = stress - inner
         if change > scalar(0.05) * stress:
@@ -129,7 +130,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def at_wall(
         g: Cells, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar
     ):  # fmt: skip
-        """Return a wall's stress on the cell beside it, the derivative of the stress by `speed`, and the slip velocity.
+        """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
 
         `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity (Xu, Li & Jiang 2021, Eq.
         8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that are rings about

@@ -27,7 +27,7 @@ from ..structs import mps_types
 OPEN = wp.constant(0)  # Value of `solid` for a cell that concrete may fill; other values are the number of a wall.
 SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Number of the wall that opens at a given time.
-# Kinds of faces; ROUGH is the number of a wall.
+# The following constants are kinds of faces, except ROUGH, which is the number of a wall.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
@@ -46,7 +46,7 @@ UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
 WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
 SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
 SWIFT = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
-BEFORE = wp.constant(6)  # SPEED of the previous step [m/s].
+BEFORE = wp.constant(6)  # Value of SPEED in the previous step [m/s].
 RATE = wp.constant(7)  # Rate of change of SPEED in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
@@ -98,9 +98,9 @@ def cells_struct(scalar, dimensions: int):
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
         yield_stress: scalar  # Yield stress of the Bingham law [Pa].
         regularisation: scalar  # Regularisation time beta of the Bingham law [s].
-        volume: scalar  # Volume of the mean particle.
+        volume: scalar  # Volume of the mean particle, per metre of depth or per radian in two dimensions.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
-        resistance: wp.float64  # Derivative of the walls' force per volume by the mean velocity [kg/m3/s].
+        resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
 
     return Cells
 
@@ -137,7 +137,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
         rubbed: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
-        growth: wp.array(dtype=scalar)  # Derivative of `traction` by the velocity of the face [Pa s/m].
+        growth: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the velocity of the face [Pa s/m].
         slip: wp.array(dtype=scalar)  # Velocity of concrete at a pipe's wall; without a wall, that of the face [m/s].
         # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
         # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
@@ -150,14 +150,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         potential: wp.array(dtype=scalar)  # Pressure-like field that moves particles out of crowded regions [Pa].
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
-        stress: wp.array(dtype=scalar)  # Shear stress at the corners of a pipe's cells in the previous step [Pa].
+        stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
         # Square of each cell's shear rate without the part of one pair of axes [1/s2], shape (pairs * slots,).
         besides: wp.array(dtype=scalar)
         gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
         layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
-        drive: wp.array(dtype=wp.float64)  # Driving force of a periodic pipe, shape (DRIVE,); see its slots.
-        clock: wp.array(dtype=wp.float64)  # Time and step control, shape (CLOCK,); see its slots.
+        drive: wp.array(dtype=wp.float64)  # Driving force of a periodic pipe in slots FORCE to PUSH, shape (DRIVE,).
+        clock: wp.array(dtype=wp.float64)  # Time and step control in the slots DT to LAST, shape (CLOCK,).
 
     @wp.struct
     class Geometry:
@@ -197,7 +197,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Cells, c: whole) -> wp.int32:
-        """Return the number of the cell, or of its edge or first face, that has the indices `c`."""
+        """Return the number of the cell with the indices `c`, which is also that of its edge and of its first face."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -208,7 +208,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def cell(g: Cells, number: wp.int32) -> whole:
-        """Return the indices of the cell that has a number; this is the inverse of `at`."""
+        """Return the indices of the cell with the given number; this is the inverse of `at`."""
         across = g.n[0] + 2
         if wp.static(of.dimensions == 2):
             return whole(number % across - 1, number / across - 1)
@@ -225,7 +225,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def on_grid(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` can exist; a periodic grid ends one row earlier."""
+        """Return whether a face or an edge with the indices `c` exists; a periodic grid has one layer less of them."""
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -234,7 +234,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` can exist; a periodic grid has no ends."""
+        """Return whether a face or an edge with the indices `c` exists, where a periodic grid continues without end."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:

@@ -49,7 +49,11 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
-        """Return whether a cell holds a film: a wall on one side, no particle opposite, and no deep concrete around."""
+        """Return whether the concrete in a cell is a thin film on a wall.
+
+        This is so if there is a wall on one side of the cell, no particle in the cell on the opposite side, and no
+        neighbouring cell with more than twice as many particles.
+        """
         own = mesh.count[f.at(g, c)]
         found = wp.bool(False)
         for n in range(2 * dims):

@@ -34,10 +34,10 @@ def relaxing_function(scalar, of: Kind):
         Normally this is the geometric mean of both. With `now` itself, a plug that ends less than a cell from the wall
         of a pipe would oscillate.
 
-        Flows that may have a free surface also stop and start. There, concrete that yields gets the value `now`. In
-        concrete below the yield stress, the shear rate can shrink per step only by the ratio of stress to yield stress.
-        Its viscosity therefore changes by more than the step from `before` to `now`. Otherwise the concrete would come
-        to rest later, the longer the time steps are.
+        Flows that may have a free surface also stop and start. In such flows, concrete that yields gets the value
+        `now`. In concrete below the yield stress, a step can reduce the shear rate only by the ratio of stress to yield
+        stress, so that concrete would come to rest the later, the longer the time steps are. Its viscosity is therefore
+        extrapolated to ``before * (now / before) ** STIFFENING``.
         """
         if before > scalar(0.0):
             if wp.static(not of.periodic):
@@ -169,8 +169,8 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
 def rubbing_function(scalar, of: Kind):
     """Build `rubbed`, the friction of a wall that passes between a face and the next face along an axis.
 
-    It returns the force that slows the face, the derivative of that force by the face's velocity, and the matrix
-    coefficient of the next face.
+    It returns the force that slows the face, the derivative of that force with respect to the face's velocity, and the
+    matrix coefficient of the next face.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)

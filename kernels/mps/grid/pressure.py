@@ -83,7 +83,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         for axis in range(dims):
             r = number + axis * g.slots
             kind = mesh.kind[r]
-            # The stress of the walls must belong to the velocity after the viscous solve.
+            # Update the stress of the walls to the velocity after the viscous solve.
             if wp.static(not of.cut) and kind == LIQUID:
                 mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
             if kind == LIQUID:

@@ -319,7 +319,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Half cells are counted from the frame, so that no dividend of the integer division is negative.
+                # Count half cells from the frame, because integer division would round negative numbers upwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]
@@ -389,7 +389,7 @@ def advect_kernel(scalar, of: Kind):
                 there = here
         after = x + dt * (there - moving)
         if wp.static(not of.periodic):
-            after -= scalar(0.5) * dt * (here - before)  # Use the mean of the old and the new velocity.
+            after -= scalar(0.5) * dt * (here - before)  # Move with the mean of the old and the new velocity.
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += dt * aside
         if wp.static(of.periodic):

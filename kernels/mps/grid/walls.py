@@ -1,4 +1,4 @@
-"""Friction of walls on the faces along them: shear stress, its derivative by the velocity, and slip velocity."""
+"""Friction of walls on the faces along them: shear stress, its derivative with respect to velocity, and slip."""
 
 import functools
 
@@ -183,9 +183,9 @@ def wall_kernel(scalar, of: Kind):
                                 hold = walls.slip_yield[wall] / wp.max(speed, scalar(1.0e-12))
                                 hold += walls.slip_viscosity[wall]
                                 if hold > stiff:
-                                    # The concrete sticks. Stiffness is limited, as if the layer had a finite thickness.
-                                    # Half of it is subtracted from the concrete's: the velocity is taken that far
-                                    # inside the concrete.
+                                    # The concrete sticks, and the layer has the limited stiffness of a film of finite
+                                    # thickness. Half of this thickness is subtracted from the distance over which the
+                                    # concrete is sheared: the velocity is taken that far inside the concrete.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))
