@@ -166,6 +166,9 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     ):
         if flags[HALTED] != 0:
             return
+        # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
+        # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
+        # products are rz = r.z, rr = r.r and pq = p.q.
         bound = wp.int32(0)
         bodies = wp.int32(0)
         if wp.static(rigid):

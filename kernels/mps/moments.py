@@ -50,6 +50,7 @@ def rheology_functions(scalar, dimensions: int):
         if bent_rate > scalar(1.0e-3):
             viscosity += flow.yield_stress * (scalar(1.0) - fall) / rate
         else:
+            # Use the series for small rates, where the fraction loses digits.
             viscosity += flow.yield_stress * flow.regularisation * (scalar(1.0) - scalar(0.5) * bent_rate)
         return viscosity, flow.viscosity + flow.yield_stress * flow.regularisation * fall
 
@@ -219,8 +220,9 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
-            # Predict the pressure by a least-squares line through the neighbours' pressures. This filters out
-            # checkerboard modes, which the gradient operator does not see.
+            # Predict the pressure by a least-squares fit of a linear function to the pressures around. This filters out
+            # checkerboard modes, which the gradient operator does not see. The gradient is eliminated from the normal
+            # equations, which leaves one equation for the change of the particle's own pressure (Schur complement).
             bent = back * m.first
             own = flow.cutoff / flow.spacing  # Weight of the particle's own pressure in the least-squares fit.
             weight = own + m.number - wp.dot(m.first, bent)

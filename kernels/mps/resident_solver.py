@@ -172,6 +172,9 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         system: Solve,
         x: wp.array(dtype=value),
     ):
+        # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
+        # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
+        # products are rz = r.z, rr = r.r and pq = p.q.
         thread = wp.tid()
         lane = thread % width
         block = thread / width

@@ -52,6 +52,7 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
     velocity, slip, found = np.zeros(cells), 0.0, []
     for n in range(round(times[-1] / step)):
         start = velocity
+        # The viscosity depends on the velocity, so each implicit step needs some fixed-point iterations.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
             # The shear across half a cell and the slip layer act in series.

@@ -141,6 +141,7 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 def pipe_gradient(yield_stress: float) -> float:
     """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
+    # Find the wall stress by bisection, such that the mean velocity of the law equals SPEED.
     low, high = yield_stress, 1e5
     for _ in range(100):
         stress = 0.5 * (low + high)

@@ -28,6 +28,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
             return g.viscosity + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
+        # Use the series for small rates, where the fraction loses digits.
         return g.viscosity + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
 
     @wp.func
@@ -118,10 +119,13 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
         `inner` on the cell's opposite side.
         """
+        # With a linear stress, the velocity where the stress is tau is u = width / change * (F1(stress) - F1(tau)),
+        # where F1 = `once`. The mean of u over the cell follows with the integral of F1, which is `twice`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * once(g, stress) - (twice(g, stress) - twice(g, inner))) / (change * change)
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
+        # If the stress hardly varies, the closed form loses digits, and Simpson's rule is accurate.
         middle = scalar(0.5) * (stress + inner)
         mean = rate_of(g, stress) / scalar(6.0) + rate_of(g, middle) / scalar(3.0)
         return width * mean, width / scalar(6.0) * (rate_slope(g, stress) + rate_slope(g, middle))
@@ -136,6 +140,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that are rings about
         an axis. Newton's method solves for the stress. It starts above the solution, where the function is convex.
         """
+        # Start from an upper bound of the stress: all of the speed is slip, or (with a margin) all of it is shear.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

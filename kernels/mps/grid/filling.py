@@ -35,6 +35,8 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
         `crowd` is the density of particles at the cell's centre, weighted linearly with the distance from it.
         """
+        # With a linear weight of the particles, a surface at height h < 1/2, below the centre, gives a density of
+        # (h + 1/2)^2 / 2, and a surface above the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.
         if crowd < scalar(0.5):
             return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
         return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))

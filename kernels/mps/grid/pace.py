@@ -159,6 +159,7 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:
+            # The error is proportional to the square of the step, so the allowed step follows from a square root.
             error = wp.float64(0.5) * wp.abs(clock[SPEED] - clock[BEFORE] - clock[RATE] * dt)
             allowed = pace.error * wp.max(clock[SPEED], pace.floor)
             factor = wp.max(SAFETY * wp.sqrt(allowed / wp.max(error, wp.float64(1.0e-30))), SHORTER)
