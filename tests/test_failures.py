@@ -189,7 +189,7 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),
         ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': means nothing without a pipeline"),
-        ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': a plate cannot follow a bend"),
+        ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': must not be a plate in a bend"),
     ],
 )
 def test_what_would_be_ignored_or_is_said_twice_is_refused(tmp_path, scene, options, words):
