@@ -72,7 +72,7 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
 def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
     rounds = explain(scene, device=device, threads=1, cache=False).forecast
-    assert "rounds in each step" in rounds.governing
+    assert "rounds per step" in rounds.governing
     bounds = rounds.limits
     assert bounds["hydrated bonds, a round"] < 0.1 * bounds["contacts"]
     of_contacts = min(dt for name, dt in bounds.items() if name.startswith("contacts and"))
@@ -93,7 +93,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
     assert limits["contacts without dashpots"] > 1.1 * limits["contacts"]
     assert "mm" in told.forecast.governing
     fixed = explain(replace(scene, time_step=replace(scene.time_step, fixed=1e-7)), device=device, cache=False)
-    assert fixed.forecast.time_step == 1e-7 and fixed.forecast.governing == "time_step = 1e-07 s, as it is given"
+    assert fixed.forecast.time_step == 1e-7 and fixed.forecast.governing == "the given time_step = 1e-07 s"
 
 
 def test_features_are_those_that_are_compiled_in(device):
@@ -161,13 +161,13 @@ def test_a_step_that_was_given_is_not_made_longer_by_softer_bonds(device):
     changes = SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2, time_step=1e-6)
     told = explain(scenes.pipe(**changes), device=device, threads=1, cache=False)
     assert not [saving for saving in told.savings if "bonds" in saving.what]
-    assert told.forecast.governing == "time_step = 1e-06 s, as it is given"
+    assert told.forecast.governing == "the given time_step = 1e-06 s"
 
 
 def test_the_largest_step_allowed_bounds_soft_scenes(device):
     scene = scenes.pipe(**SMALL | dict(length=0.2))
     told = explain(replace(scene, time_step=replace(scene.time_step, largest=1e-5)), device=device, cache=False)
-    assert told.forecast.governing.startswith("what is allowed at most")
+    assert told.forecast.governing.startswith("the largest allowed time step")
     assert told.forecast.time_step == told.forecast.limits["all together"] == 1e-5
 
 

@@ -260,4 +260,4 @@ def test_a_pressure_cut_within_the_ramp_blames_the_cut():
     """Not the travel, which would have been enough."""
     way = np.linspace(0, 0.1, 41)
     run = SimpleNamespace(scene=PIPE, result=results(known_of(way, 1e4 + way)), series={"travel": way})
-    assert no_plateau(run) == "none: the run was cut before the piston had moved steadily for long enough"
+    assert no_plateau(run) == "none: the run was stopped before the piston had moved steadily for long enough"
