@@ -132,7 +132,7 @@ def test_more_kinds_of_bonds_than_can_be_told_apart_are_refused(device):
     scene = dataclasses.replace(
         scene, group_bonds=groups, bodies=tuple(dataclasses.replace(bodies, group=name) for name in groups)
     )
-    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer: a scene has at most 15 kinds of bonds in all"):
+    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer: a scene has at most 15 kinds"):
         build_model(scene, find_device(device), "float32")
 
 

@@ -184,7 +184,7 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: means nothing unless wall is a file"),
         ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: means nothing unless plug is"),
         ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: means nothing unless sizes is"),
-        ("tube", ["--time-step", 10], "time_step = 10.0: lets the piston pass more than half a particle a step"),
+        ("tube", ["--time-step", 10], "time_step = 10.0: must be shorter, because the piston passes"),
         ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of diameter"),
         ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),

@@ -272,7 +272,7 @@ def test_cases_of_a_study_are_counted_before_they_are_made():
 
 
 def test_long_columns_are_refused_before_they_are_laid_out():
-    assert "particles; at most" in refused(lambda: scenes.tube(length=9e3), "length")
+    assert "particles, but at most" in refused(lambda: scenes.tube(length=9e3), "length")
     assert "at most" in refused(lambda: line_of({"diameter": 0.1, "parts": [{"straight": 1}] * 2001}), "parts")
 
 

@@ -60,7 +60,7 @@ class Stepping(ABC):
 
     def build(self) -> None:
         """What a step asked for, to be done between steps."""
-        raise TypeError(f"{type(self).__name__} does nothing between steps")
+        raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
         """Leave room on the GPU for so many flows in all."""
@@ -120,7 +120,8 @@ class Stepping(ABC):
     def _fail(self, what: int) -> None:
         if what == LOST:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle left the vessel or is not a number; usual cure: a smaller time step"
+                f"t = {self.time:.6g} s: a particle left the vessel or its position is not a number; usual cure: a "
+                "smaller time step"
             )
         solve = self.solves()[what]
         outcome = solve.outcome.numpy()

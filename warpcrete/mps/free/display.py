@@ -120,7 +120,7 @@ class FreeDisplay(Display):
 
     def plots(self) -> tuple[Plot, ...]:
         """How wide and how high the concrete is."""
-        word = "spread" if self._axial else "way of the front"
+        word = "spread" if self._axial else "position of the front"
         if self.simulation.scene.test == "funnel":
             return (
                 Plot(

@@ -92,7 +92,7 @@ class PartDisplay(Display):
 
     def profiles(self) -> tuple[Profile, ...]:
         """Pressure along the axis, beside that of straight pipes by theory."""
-        return (Profile("pressure", "Pressure [kPa] over the way along the axis [m]", (
+        return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
