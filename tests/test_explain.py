@@ -151,9 +151,9 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the time; error of plateau" in str(told)
-    with pytest.raises(SceneError, match="is of the scene 'pipe', not 'channel'"):
+    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but is one of 'pipe'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
-    with pytest.raises(RunFolderError, match="is no trade's folder"):
+    with pytest.raises(RunFolderError, match="is not the folder of a trade"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")
 
 
@@ -197,14 +197,14 @@ def test_a_pipe_too_long_for_the_copy_counts_by_its_length(monkeypatch):
 def test_the_command(tmp_path):
     done = command("explain", "channel", "--spacing", "0.02", "--device", "cpu", "--threads", "1")
     assert done.returncode == 0 and not done.stderr
-    for words in ("particles", "memory:", "time step: 0.0005 s", "wall time:", "what would save most"):
+    for words in ("particles", "memory:", "time step: 0.0005 s", "wall time:", "largest possible savings of time"):
         assert words in done.stdout
     for arguments, words in (
         (("nothing",), "scene = 'nothing': must be one of"),
         (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': takes one value here"),
         (("channel", "--spacing", "-1"), "spacing = -1.0"),
         (("channel", "--fresh", "1"), "--fresh: takes no value"),
-        (("channel", "--trade", str(tmp_path)), "is no trade's folder"),
+        (("channel", "--trade", str(tmp_path)), "is not the folder of a trade"),
     ):
         done = command("explain", *arguments, "--device", "cpu")
         assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1

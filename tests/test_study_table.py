@@ -96,5 +96,5 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     read = pandas.read_parquet(out / "study.parquet").set_index("case")
     pandas.testing.assert_frame_equal(read, whole, check_dtype=False)
     (out / "study.json").write_text('{"scene": "none"}')
-    with pytest.raises(RunFolderError, match="names no scene of this version"):
+    with pytest.raises(RunFolderError, match="names a scene that this version does not have"):
         warpcrete.load(out)

@@ -36,5 +36,10 @@ def module_of(scene: Any) -> tuple[str, Any]:
     """Name, as the command has it, and module of a scene function. Raises :class:`SceneError` for anything else."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
-        refuse("scene", scene, "must be a scene function", "one of warpcrete.scenes, as warpcrete.scenes.pipe")
+        refuse(
+            "scene",
+            scene,
+            "must be a scene function",
+            "use a scene function of warpcrete.scenes, such as warpcrete.scenes.pipe",
+        )
     return scene.name, module

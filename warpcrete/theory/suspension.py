@@ -17,7 +17,7 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
     Krieger & Dougherty for the viscosity, f = (1 - fraction / densest)^(-intrinsic densest), and Chateau, Ovarlez &
     Trung (2008) for the yield stress, the root of (1 - fraction) f.
     """
-    between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "less than the densest packing")
+    between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "use less than the densest packing")
     factor = (1 - fraction / densest) ** (-intrinsic * densest)
     return factor, float(np.sqrt((1 - fraction) * factor))
 
