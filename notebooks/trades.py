@@ -51,8 +51,8 @@ def section(name: str, record: dict) -> str:
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     command = re.sub(" +", " ", f"warpcrete trade {scene} {options} --budget {budget}s --device {device}")
     lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](images/trade_{name}.png)", ""]
-    lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds | worst of other scenes |",
-              "|---|---|---|---|---|---|"]  # fmt: skip
+    lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
+              "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip
     for promise in record["promises"]:
         wanted = f"{100 * promise['target']:g} %"
         if promise["setting"] is None:

@@ -70,7 +70,11 @@ def test_the_nearest_shipped_trade_is_taken():
     literal = {"unit": "D", "concrete": "zhan-table1"}  # of which trades are
     assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, literal, 0.2).outside
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
-    assert layered == ("concrete zhan for zhan-table1", "wall_friction 0.034 for None", "layer_viscosity 1190 for 0")
+    assert layered == (
+        "concrete zhan instead of zhan-table1",
+        "wall_friction 0.034 instead of None",
+        "layer_viscosity 1190 instead of 0",
+    )
     assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
     assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert shipped("nothing", pipes, {}, False) is None
@@ -94,7 +98,12 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
     assert done.returncode == 0, done.stdout + done.stderr
-    for words in ("by the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
+    for words in (
+        "by the shipped trade 'channel', measured on",
+        "within",
+        "twice the flow",
+        "flow 0.002 instead of None",
+    ):
         assert words in done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     assert made["tolerated_error"] == pytest.approx(0.1)

@@ -184,7 +184,7 @@ targets:
         (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; known are"),
-        (("quantity: pressure, ", ""), "needs quantity"),
+        (("quantity: pressure, ", ""), "must have quantity"),
         (("value: 12e3", "value: .nan"), "line 4: has .nan, which is no finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),

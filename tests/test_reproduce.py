@@ -109,7 +109,7 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
     assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
     assert resume_reproduction(found.folder).results == found.results
-    with pytest.raises(SceneError, match="is of zhan; take one of zhan, quick"):
+    with pytest.raises(SceneError, match="contains results of zhan; give a folder of zhan, quick"):
         reproduce("zhan", out=tmp_path / "quick", quick=True, known=[first.folder])
 
 
@@ -137,7 +137,7 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
                 }
     means, verdict = judged(found, row, "calibrated")
     assert means[:4] == pytest.approx([31e3, 33e3, 35e3, 37e3]) and math.isnan(means[4])
-    assert verdict.startswith("holds of those that ran to their ends (not 0.9)")
+    assert verdict.startswith("holds for the finished runs (missing: 0.9)")
     assert judged(found, row, "literal")[1] == ""
     (sizes,) = [row for row in ZHAN if row.parameter == "diameter"]
     for value in sizes.values[1:]:

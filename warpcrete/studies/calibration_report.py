@@ -40,7 +40,7 @@ def report(found: Calibration) -> str:
     lines += [*parameter_table(found), "", *target_table(found)]
     lines += [
         "",
-        f"{len(found.searched)} trials, and {len(found.trials) - len(found.searched)} runs that verify the answer.",
+        f"Trials: {len(found.searched)}; runs that verify the answer: {len(found.trials) - len(found.searched)}.",
     ]
     lines += ["", *(f"- {said[0].upper()}{said[1:]}." for said in found.findings)]
     return "\n".join(lines).rstrip()

@@ -144,7 +144,7 @@ AXES: dict[str, tuple[float, float]] = {
 
 def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
     """Name, scene and steps of every case: single extremes, all corners of the axes, and special ones."""
-    yield "all at their middle", cup, STEPS
+    yield "all parameters at their middle", cup, STEPS
     for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
         yield f"time step {fraction:g} of the estimate", lambda fraction=fraction: cup(dt_fraction=fraction), STEPS
     for name, values in AXES.items():
@@ -206,7 +206,7 @@ def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]
 
 def table(outcomes: list[Outcome]) -> str:
     """Markdown table; the corners, which are many, are summed up in one line for each way they ended."""
-    lines = ["| scene | deepest overlap | energy from nowhere | outcome |", "|---|---|---|---|"]
+    lines = ["| scene | deepest overlap | unexplained energy | outcome |", "|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:
         if o not in corners:
