@@ -162,7 +162,7 @@ def course_of(given: PartElements) -> Course:
     if line is not None:
         check_straight_ends(line, given.line)
     if given.unit == "mesh" and given.wall is None and line is None:
-        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give wall, or choose another unit")
+        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
     parts = _meshed(given) if given.wall is not None else line
     if parts is None:
         axis, bores, middle = _part(given)
@@ -214,13 +214,13 @@ def _meshed(given: PartElements) -> PipeLine:
         refuse(
             "outlet_diameter",
             given.outlet_diameter,
-            "must not be given with a wall, whose mesh sets the outlet",
+            "has no effect with a wall, as the mesh has its own outlet",
             "leave it out",
         )
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > FIT:
-        refuse("diameter", given.diameter, f"must equal the mesh's diameter at its start, {wide:.4g} m", "leave it out")
+        refuse("diameter", given.diameter, f"differs from that of the mesh, {wide:.4g} m at its start", "leave it out")
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
     level = float(mesh.axis.at(length)[1][0, 2])

@@ -201,9 +201,9 @@ class BondParameters:
     bonds: Annotated[bool, "Bond the aggregates in contact before pumping starts"] = True
     bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), BONDED] = 2e4
     bond_stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above(), BONDED] = 2.0
-    tensile_strength: Annotated[float, "[Pa]", Within(0), BONDED] = 10.0
-    cohesion: Annotated[float, "[Pa]", Within(0), BONDED] = 5.0
-    friction_angle: Annotated[float, "[degrees]", Within(0, 89), BONDED] = 30.0
+    tensile_strength: Annotated[float, "Tensile strength of bonds [Pa]", Within(0), BONDED] = 10.0
+    cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), BONDED] = 5.0
+    friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), BONDED] = 30.0
     bond_gap: Annotated[float, "Largest gap across which bonds are made [m]", Within(0), BONDED] = 0.0
     healing: Annotated[bool, "Bond new contacts when they touch", BONDED] = False
     hydration: Annotated[float, "Fraction of the bonds that is hydrated", Within(0, 1), BONDED] = 0.0
@@ -264,7 +264,7 @@ class IndexParameters:
 class RunParameters(Declared):
     """Run."""
 
-    gravity: Annotated[float, "[m/s2]", Within(-1e4, 1e4)] = 9.81
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
     settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",
                       Within(0)] = 2.0  # fmt: skip
     time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None

@@ -52,8 +52,8 @@ class Bonds(Declared):
         float, "Effective modulus [Pa]; the bond stiffness per area is this modulus over L", Above()
     ] = 2e4
     stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above()] = 2.0
-    tensile_strength: Annotated[float, "[Pa]", Within(0)] = 10.0
-    cohesion: Annotated[float, "[Pa]", Within(0)] = 5.0
+    tensile_strength: Annotated[float, "Tensile strength [Pa]", Within(0)] = 10.0
+    cohesion: Annotated[float, "Cohesion [Pa]", Within(0)] = 5.0
     friction_angle: Annotated[
         float,
         "Friction angle [degrees]; it raises the shear strength under compression and lowers it under tension",
@@ -335,7 +335,7 @@ class Rest(Declared):
     called = "rest"
 
     at: Annotated[float, "Simulated time at which the rest takes place [s]", Within(0)]
-    duration: Annotated[float, "[s]", Within(0)]
+    duration: Annotated[float, "Duration of the rest [s]", Within(0)]
     growth: Annotated[float, "Growth rate A_thix of the yield stress [Pa/s]", Within(0)] = 0.5
     breakdown: Annotated[float, "Slip over which the layer's gained yield stress falls to 1/e [m]", Above()] = 0.1
     coverage: Annotated[

@@ -143,7 +143,7 @@ class VesselRun(Declared):
         "Speed below which the fastest grain of the main body must stay for a second to count as at rest [m/s]",
         Above(),
     ] = 1e-3
-    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     settle: Annotated[float, "Longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
     time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
     safety: Annotated[

@@ -57,7 +57,7 @@ class ConcreteParameters:
         Above(),
     ] = None
     viscosity: Annotated[float | None, "Plastic viscosity [Pa s]", Above()] = None
-    yield_stress: Annotated[float | None, "[Pa]", Within(0)] = None
+    yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
     slip_viscosity: Annotated[
         float | None, "Viscosity of the slip layer divided by its thickness [Pa s/m]", Above()
     ] = None
@@ -103,7 +103,7 @@ class AggregateParameters:
         TWO_PHASES,
         Alias("aggregate_share"),
     ] = None
-    aggregate_density: Annotated[float, "[kg/m3]", Above(), TWO_PHASES] = 2630.0
+    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), TWO_PHASES] = 2630.0
     inclusions: Annotated[
         str,
         "Shape of the aggregate in the formula for the mortar's default constants: discs, spheres; auto: by dimension",

@@ -33,12 +33,16 @@ class Concrete(Declared):
     """A Bingham fluid and its slip layer."""
 
     name: str = "concrete"
-    density: Annotated[float, "[kg/m3]", Above()]
+    density: Annotated[float, "Density [kg/m3]", Above()]
     viscosity: Annotated[
         float, "Plastic viscosity mu_b [Pa s]", Above(hint=("without viscosity the velocity has no profile"))
     ]
     yield_stress: Annotated[float, "Yield stress tau_b [Pa]", Within(0)]
-    slip_viscosity: Annotated[float, "eta_L [Pa s/m]", Above(hint="give a very large value for a wall without slip")]
+    slip_viscosity: Annotated[
+        float,
+        "Viscosity eta_L of the slip layer divided by its thickness [Pa s/m]",
+        Above(hint="give a very large value for a wall without slip"),
+    ]
     slip_yield: Annotated[float, "Yield stress tau_L0 of the slip layer [Pa]", Within(0)]
 
 
@@ -66,9 +70,9 @@ class Line(Declared):
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length L [m]", Above()] = 0.3
-    slip_thickness: Annotated[float, "[m]", Within(0)] = 0.0
+    slip_thickness: Annotated[float, "Thickness of the slip layer [m]", Within(0)] = 0.0
     rise: Annotated[float, "Height gained per length: 1 for an upright pipe, 0 for a level one", Within(-1, 1)] = 1.0
-    gravity: Annotated[float, "[m/s2]", Within(0)] = 9.81
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0)] = 9.81
 
     def __post_init__(self) -> None:
         super().__post_init__()

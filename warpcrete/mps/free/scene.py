@@ -47,7 +47,7 @@ class FreeSettings(Declared):
     ] = 2e-4
     time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 2e-2
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-3
-    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     regularisation: Annotated[
         float,
         "Parameter beta of the regularised Bingham law [s]; concrete below the yield stress creeps at a rate of 1/beta",
